@@ -1,0 +1,91 @@
+//! Many machines at once: SIMD lanes within a core, lanes spread over cores.
+//!
+//! The instruction set (AVX-512, AVX2, or the platform's baseline) is picked when the program runs, so that
+//! one binary serves every gateway. Lanes do not touch each other: a machine gives the same bits here and in
+//! [`Machine<f64>`](crate::Machine).
+
+use rayon::prelude::*;
+
+use crate::cycle::{Instant, Schedule, Turn};
+use crate::machine::{Input, Machine, Record};
+use crate::real::{LANES, Lanes};
+use crate::spec::MachineSpec;
+
+/// One machine of a batch and what it is asked to do.
+#[derive(Debug, Clone)]
+pub struct Job {
+    /// The machine.
+    pub spec: MachineSpec,
+    /// Its turns; see [`Schedule::new`].
+    pub turns: Vec<Turn>,
+    /// How many ticks to run without recording.
+    pub skip_ticks: u64,
+    /// How many ticks to record after that.
+    pub record_ticks: u64,
+}
+
+/// Runs the jobs and hands each one's recorded commands, in shares of full command, to `reduce` with the
+/// job's index; results come in the jobs' order.
+pub fn commands<R: Send>(jobs: &[Job], reduce: impl Fn(usize, &[f64]) -> R + Sync) -> Vec<R> {
+    jobs.par_chunks(LANES)
+        .enumerate()
+        .flat_map_iter(|(chunk, jobs)| {
+            let mut commands: Vec<Vec<f64>> =
+                jobs.iter().map(|job| Vec::with_capacity(job.record_ticks as usize)).collect();
+            run_lanes(jobs, |lane, record| commands[lane].push(record.command.0[lane]));
+            let reduced: Vec<R> =
+                commands.iter().enumerate().map(|(lane, c)| reduce(chunk * LANES + lane, c)).collect();
+            reduced
+        })
+        .collect()
+}
+
+/// Runs at most [`LANES`] jobs side by side and hands each recorded tick of each job to `sink` with its lane.
+///
+/// Jobs beyond the lanes are not run; the callers chunk.
+pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &Record<Lanes>)) {
+    let specs: Vec<&MachineSpec> = jobs.iter().map(|job| &job.spec).collect();
+    let machine = Machine::<Lanes>::new(&specs);
+    let mut schedules: Vec<Schedule> = jobs
+        .iter()
+        .map(|job| Schedule::new(&job.spec.cycle, job.spec.controller.period_s, job.turns.clone()))
+        .collect();
+    let end = jobs.iter().map(|job| job.skip_ticks + job.record_ticks).max().unwrap_or(0);
+    let mut state = machine.start();
+    let mut instants: Vec<Instant> = Vec::with_capacity(LANES);
+    // A block of ticks at a time runs under the widest instructions; the sink is called outside of them.
+    let arch = pulp::Arch::new();
+    let mut block: Vec<Record<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
+    let mut inputs: Vec<Input<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
+    let mut tick = 0;
+    while tick < end {
+        let ticks = BLOCK_TICKS.min((end - tick) as usize);
+        inputs.clear();
+        for _ in 0..ticks {
+            instants.clear();
+            instants.extend(schedules.iter_mut().filter_map(Iterator::next));
+            inputs.push(Input::gather(&instants));
+        }
+        block.clear();
+        arch.dispatch(
+            #[inline(always)]
+            || {
+                for input in &inputs {
+                    block.push(machine.tick(&mut state, input));
+                }
+            },
+        );
+        for (offset, record) in block.iter().enumerate() {
+            let at = tick + offset as u64;
+            for (lane, job) in jobs.iter().enumerate().take(LANES) {
+                if at >= job.skip_ticks && at < job.skip_ticks + job.record_ticks {
+                    sink(lane, record);
+                }
+            }
+        }
+        tick += ticks as u64;
+    }
+}
+
+/// Ticks that are run between two calls of the sink.
+const BLOCK_TICKS: usize = 256;

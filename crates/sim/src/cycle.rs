@@ -1,0 +1,190 @@
+//! The duty cycle: what the machine is asked to do, over and over.
+
+use serde::{Deserialize, Serialize};
+
+/// A quintic move of the demand to a new position.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Move {
+    /// Name of the stroke in reports and features.
+    pub name: String,
+    /// Start in the cycle, s.
+    pub from_s: f64,
+    /// End in the cycle, s.
+    pub to_s: f64,
+    /// Position reached, m.
+    pub to_m: f64,
+}
+
+/// A corner of the piecewise linear load.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LoadCorner {
+    /// Time in the cycle, s.
+    pub at_s: f64,
+    /// Force, N, positive in the extending direction.
+    pub force_n: f64,
+}
+
+/// The duty cycle: the `[cycle]` table of `plant.toml`. Before the first move the demand is where the last
+/// one ends; the load is linear between its corners and constant outside them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DutyCycle {
+    /// Period, s.
+    pub period_s: f64,
+    /// Moves of the demand in time order.
+    pub moves: Vec<Move>,
+    /// Corners of the load in time order.
+    pub load: Vec<LoadCorner>,
+}
+
+impl Default for DutyCycle {
+    fn default() -> Self {
+        let stroke = |name: &str, from_s, to_s, to_m| Move { name: name.into(), from_s, to_s, to_m };
+        let corner = |at_s, force_n| LoadCorner { at_s, force_n };
+        DutyCycle {
+            period_s: 10.0,
+            moves: vec![
+                stroke("extend", 0.5, 2.5, 0.35),
+                stroke("press", 3.0, 4.0, 0.38),
+                stroke("retract", 6.0, 8.5, 0.10),
+            ],
+            load: vec![corner(3.20, -2e3), corner(3.25, -15e3), corner(5.60, -15e3), corner(5.65, -2e3)],
+        }
+    }
+}
+
+/// `10 τ³ − 15 τ⁴ + 6 τ⁵`: from 0 to 1 with no velocity and no acceleration at either end.
+fn quintic(tau: f64) -> f64 {
+    tau * tau * tau * (10.0 + tau * (6.0 * tau - 15.0))
+}
+
+impl DutyCycle {
+    /// Where the demand stands as a cycle begins, m.
+    pub fn start_position_m(&self) -> f64 {
+        self.moves.last().map_or(0.0, |last| last.to_m)
+    }
+
+    /// Demand at a time within the cycle, m.
+    pub fn demand_m(&self, at_s: f64) -> f64 {
+        let mut position = self.start_position_m();
+        for stroke in &self.moves {
+            if at_s < stroke.from_s {
+                break;
+            }
+            let tau = ((at_s - stroke.from_s) / (stroke.to_s - stroke.from_s)).min(1.0);
+            position += (stroke.to_m - position) * quintic(tau);
+        }
+        position
+    }
+
+    /// Load at a time within the cycle, N.
+    pub fn load_n(&self, at_s: f64) -> f64 {
+        let after = self.load.partition_point(|corner| corner.at_s <= at_s);
+        match (after.checked_sub(1).map(|before| &self.load[before]), self.load.get(after)) {
+            (Some(a), Some(b)) => {
+                a.force_n + (b.force_n - a.force_n) * ((at_s - a.at_s) / (b.at_s - a.at_s))
+            }
+            (Some(only), None) | (None, Some(only)) => only.force_n,
+            (None, None) => 0.0,
+        }
+    }
+}
+
+/// One run of the duty cycle: how this one differs from the plan.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Turn {
+    /// Leak area, m².
+    pub leak_area_m2: f64,
+    /// Load over the plan's load, 1.
+    pub load_factor: f64,
+    /// Time scale: the turn lasts `stretch` · period.
+    pub stretch: f64,
+    /// Standstill after the turn, s.
+    pub pause_s: f64,
+}
+
+impl Turn {
+    /// A turn as planned with that leak.
+    pub fn with_leak(leak_area_m2: f64) -> Self {
+        Turn { leak_area_m2, load_factor: 1.0, stretch: 1.0, pause_s: 0.0 }
+    }
+}
+
+/// Duty cycles one after the other: the drive of one machine, tick by tick.
+#[derive(Debug, Clone)]
+pub struct Schedule {
+    cycle: DutyCycle,
+    period_s: f64,
+    turns: Vec<Turn>,
+    turn: usize,
+    tick: u64,
+    ticks_of_turn: u64,
+}
+
+/// The drive at one controller tick.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Instant {
+    /// Number of the turn, from 0.
+    pub turn: usize,
+    /// Demand, m.
+    pub demand_m: f64,
+    /// Load at the tick, N.
+    pub load_n: f64,
+    /// Load at the next tick, N.
+    pub load_end_n: f64,
+    /// Leak area, m².
+    pub leak_area_m2: f64,
+}
+
+impl Schedule {
+    /// The turns of a duty cycle under a controller of that period, s. After the last turn it goes on with
+    /// repetitions of that one; no turns at all means turns as planned without a leak.
+    pub fn new(cycle: &DutyCycle, controller_period_s: f64, mut turns: Vec<Turn>) -> Self {
+        if turns.is_empty() {
+            turns.push(Turn::with_leak(0.0));
+        }
+        let mut schedule =
+            Schedule { cycle: cycle.clone(), period_s: controller_period_s, turns, turn: 0, tick: 0, ticks_of_turn: 0 };
+        schedule.ticks_of_turn = schedule.ticks_of(0);
+        schedule
+    }
+
+    fn at(&self, turn: usize) -> &Turn {
+        &self.turns[turn.min(self.turns.len() - 1)]
+    }
+
+    /// Controller ticks of a turn, its pause included.
+    pub fn ticks_of(&self, turn: usize) -> u64 {
+        let turn = self.at(turn);
+        ((self.cycle.period_s * turn.stretch + turn.pause_s) / self.period_s).round().max(1.0) as u64
+    }
+
+    fn load_n(&self, turn: usize, tick: u64) -> f64 {
+        let of = self.at(turn);
+        self.cycle.load_n(tick as f64 * self.period_s / of.stretch) * of.load_factor
+    }
+}
+
+impl Iterator for Schedule {
+    type Item = Instant;
+
+    fn next(&mut self) -> Option<Instant> {
+        let (turn, tick) = (self.turn, self.tick);
+        self.tick += 1;
+        if self.tick == self.ticks_of_turn {
+            self.turn += 1;
+            self.tick = 0;
+            self.ticks_of_turn = self.ticks_of(self.turn);
+        }
+        let of = self.at(turn);
+        Some(Instant {
+            turn,
+            demand_m: self.cycle.demand_m(tick as f64 * self.period_s / of.stretch),
+            load_n: self.load_n(turn, tick),
+            load_end_n: self.load_n(self.turn, self.tick),
+            leak_area_m2: of.leak_area_m2,
+        })
+    }
+}

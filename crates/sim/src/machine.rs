@@ -1,0 +1,192 @@
+//! A machine: plant, controller and effects, advanced one controller tick at a time.
+
+use crate::controller::{Pid, PidState};
+use crate::cycle::Instant;
+use crate::effects::{self, Law, Substep};
+use crate::plant::{ActingLaws, Drive, Plant, State};
+use crate::real::Real;
+use crate::spec::MachineSpec;
+
+/// The drive of a tick, of one machine or of several in lanes.
+#[derive(Debug, Clone, Copy)]
+pub struct Input<T> {
+    /// Position demand, m.
+    pub demand: T,
+    /// Load at the tick, N.
+    pub load: T,
+    /// Load at the next tick, N; linear between.
+    pub load_end: T,
+    /// Leak area, m².
+    pub a_leak: T,
+}
+
+impl<T: Real> Input<T> {
+    /// Gathers one machine's instant a lane; a shorter slice repeats its last entry.
+    #[inline(always)]
+    pub fn gather(instants: &[Instant]) -> Self {
+        let at = |lane: usize| &instants[lane.min(instants.len() - 1)];
+        Input {
+            demand: T::from_lanes(|lane| at(lane).demand_m),
+            load: T::from_lanes(|lane| at(lane).load_n),
+            load_end: T::from_lanes(|lane| at(lane).load_end_n),
+            a_leak: T::from_lanes(|lane| at(lane).leak_area_m2),
+        }
+    }
+}
+
+/// What a logger would see at a tick: the state at the tick with the command just computed.
+#[derive(Debug, Clone, Copy)]
+pub struct Record<T> {
+    /// PID valve command, share of full command.
+    pub command: T,
+    /// Position demand, m.
+    pub demand: T,
+    /// Measured position, m.
+    pub position: T,
+    /// Supply pressure, Pa.
+    pub p_supply: T,
+    /// Valve inlet pressure, Pa.
+    pub p_inlet: T,
+    /// Cap chamber's pressure, Pa.
+    pub p_cap: T,
+    /// Rod chamber's pressure, Pa.
+    pub p_rod: T,
+    /// Load, N.
+    pub load: T,
+    /// Truth: flow past the piston, cap → rod, m³/s.
+    pub leak_flow: T,
+    /// Truth: leak area, m².
+    pub leak_area: T,
+}
+
+/// One machine (`f64`) or several in lanes: parameters only.
+pub struct Machine<T: Real> {
+    plant: Plant<T>,
+    pid: Pid<T>,
+    laws: Vec<Box<dyn Law<T>>>,
+    steps: usize,
+    period: T,
+    dt: T,
+    start: (T, T),
+}
+
+/// What changes while a machine runs.
+#[derive(Debug, Clone)]
+pub struct MachineState<T> {
+    /// The plant's state at the tick.
+    pub plant: State<T>,
+    pid: PidState<T>,
+    memory: Vec<Vec<T>>,
+    tick: u64,
+    /// How many times a pressure was held at 0, each an instance of cavitation that is not modelled.
+    pub clamped_pressures: u64,
+}
+
+impl<T: Real> Machine<T> {
+    /// Gathers one machine a lane; a shorter slice repeats its last entry. All machines of a batch take the
+    /// number of steps in a period from the first one.
+    pub fn new(specs: &[&MachineSpec]) -> Self {
+        let of = |lane: usize| specs[lane.min(specs.len() - 1)];
+        let plants: Vec<_> = specs.iter().map(|spec| &spec.plant).collect();
+        let controllers: Vec<_> = specs.iter().map(|spec| &spec.controller).collect();
+        let steps = specs[0].controller.steps_per_period;
+        let period = T::from_lanes(|lane| of(lane).controller.period_s);
+        let laws = effects::ALL
+            .iter()
+            .filter_map(|effect| {
+                let values: Vec<T> = (0..effect.parameters().len())
+                    .map(|parameter| T::from_lanes(|lane| of(lane).effect_values(*effect)[parameter]))
+                    .collect();
+                T::law(*effect, &values)
+            })
+            .collect();
+        Machine {
+            plant: Plant::new(&plants),
+            pid: Pid::new(&controllers),
+            laws,
+            steps,
+            period,
+            dt: period / T::splat(steps as f64),
+            start: (
+                T::from_lanes(|lane| of(lane).cycle.start_position_m()),
+                T::from_lanes(|lane| of(lane).cycle.load_n(0.0)),
+            ),
+        }
+    }
+
+    /// The machine at rest where its duty cycle begins.
+    pub fn start(&self) -> MachineState<T> {
+        let (x, load) = self.start;
+        MachineState {
+            plant: self.plant.rest(x, load),
+            pid: self.pid.start(x),
+            memory: self.laws.iter().map(|law| vec![T::splat(0.0); law.memory()]).collect(),
+            tick: 0,
+            clamped_pressures: 0,
+        }
+    }
+
+    /// One controller tick: measure, compute the command, record, and run the plant to the next tick.
+    #[inline(always)]
+    pub fn tick(&self, state: &mut MachineState<T>, input: &Input<T>) -> Record<T> {
+        let position = state.plant.x;
+        let command = self.pid.tick(&mut state.pid, input.demand, position);
+        let record = Record {
+            command,
+            demand: input.demand,
+            position,
+            p_supply: state.plant.p_s,
+            p_inlet: state.plant.p_3,
+            p_cap: state.plant.p_1,
+            p_rod: state.plant.p_2,
+            load: input.load,
+            leak_flow: self.plant.leak_flow(&state.plant, input.a_leak),
+            leak_area: input.a_leak,
+        };
+        self.run(state, command, input);
+        state.tick += 1;
+        record
+    }
+
+    /// The plant from one tick to the next under a held command.
+    #[inline(always)]
+    pub fn run(&self, state: &mut MachineState<T>, command: T, input: &Input<T>) {
+        let load_step = (input.load_end - input.load) * T::splat(1.0 / self.steps as f64);
+        let mut load = input.load;
+        for index in 0..self.steps {
+            let mut u = command;
+            let substep = Substep { tick: state.tick, index, steps: self.steps, dt: self.dt, period: self.period };
+            for (law, memory) in self.laws.iter().zip(&mut state.memory) {
+                u = law.spool(memory, u, &substep);
+            }
+            let load_end = load + load_step;
+            let drive = Drive { u, load, load_end, a_leak: input.a_leak };
+            let acting = ActingLaws { laws: &self.laws, memory: &state.memory };
+            let next = self.plant.rk4(&state.plant, &drive, self.dt, &acting);
+            state.plant = cavitation_held(&next, &mut state.clamped_pressures);
+            load = load_end;
+        }
+    }
+}
+
+/// Holds each pressure at 0 or above and counts where it had to: cavitation is not modelled.
+#[inline(always)]
+fn cavitation_held<T: Real>(state: &State<T>, clamped: &mut u64) -> State<T> {
+    let zero = T::splat(0.0);
+    let lowest = state.p_s.min(state.p_3).min(state.p_1).min(state.p_2);
+    let mut any = 0;
+    for lane in 0..T::WIDTH {
+        any += u64::from(lowest.lane(lane) < 0.0);
+    }
+    if any == 0 {
+        return *state;
+    }
+    *clamped += any;
+    State {
+        p_s: state.p_s.max(zero),
+        p_3: state.p_3.max(zero),
+        p_1: state.p_1.max(zero),
+        p_2: state.p_2.max(zero),
+        ..*state
+    }
+}

@@ -1,0 +1,288 @@
+//! `plant.toml`: the machine as a file – plant, controller, duty cycle, effects.
+
+use std::collections::BTreeMap;
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::controller::Controller;
+use crate::cycle::DutyCycle;
+use crate::effects::{self, Effect};
+use crate::plant::{PlantParameters, RK4_STABILITY_LIMIT};
+
+/// A machine: the content of `plant.toml`. Every table and key has a default, the nominal plant's.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MachineSpec {
+    /// Plant parameters.
+    pub plant: PlantParameters,
+    /// Controller gains and period.
+    pub controller: Controller,
+    /// Duty cycle.
+    pub cycle: DutyCycle,
+    /// Effects by key, each with its parameters by name.
+    pub effects: BTreeMap<String, BTreeMap<String, f64>>,
+}
+
+/// Why a plant file is refused.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SpecError {
+    /// Not TOML, a key that does not exist, or a value of the wrong type.
+    #[error(transparent)]
+    Format(#[from] FormatError),
+    /// A value outside of what it may be.
+    #[error("{}`{key}` is {value}; {expected}", at_line(*.line))]
+    Value {
+        /// Line in the file, from 1, where it could be found.
+        line: Option<usize>,
+        /// Dotted key.
+        key: String,
+        /// The value that was given.
+        value: f64,
+        /// What it must be.
+        expected: String,
+    },
+    /// Something that is not about one value.
+    #[error("{}{message}", at_line(*.line))]
+    Structure {
+        /// Line in the file, from 1, where it could be found.
+        line: Option<usize>,
+        /// What is wrong and what to do.
+        message: String,
+    },
+    /// The fixed step is too long for the plant.
+    #[error(
+        "the plant's fastest eigenvalue, {eigenvalue_per_s:.0} 1/s, is unstable at {steps} RK4 steps per period \
+         (step · eigenvalue = {product:.2} > {RK4_STABILITY_LIMIT}); set controller.steps_per_period to {needed} or more"
+    )]
+    UnstableStep {
+        /// Fastest eigenvalue at standstill, 1/s.
+        eigenvalue_per_s: f64,
+        /// Steps in a controller period.
+        steps: usize,
+        /// Step times eigenvalue.
+        product: f64,
+        /// Steps that would do.
+        needed: usize,
+    },
+}
+
+fn at_line(line: Option<usize>) -> String {
+    line.map_or(String::new(), |line| format!("line {line}: "))
+}
+
+/// Why a TOML file cannot be read into its structure.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("line {line}: {message}")]
+pub struct FormatError {
+    /// Line, from 1.
+    pub line: usize,
+    /// What is wrong, with the nearest known key where a key is unknown.
+    pub message: String,
+}
+
+/// Reads a TOML text; an unknown key is answered with the nearest known one.
+///
+/// # Errors
+/// [`FormatError`] with the line.
+pub fn parse_toml<T: DeserializeOwned>(text: &str) -> Result<T, FormatError> {
+    toml::from_str(text).map_err(|error| {
+        let at = error.span().map_or(0, |span| span.start.min(text.len()));
+        let line = 1 + text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
+        FormatError { line, message: with_nearest_key(error.message()) }
+    })
+}
+
+/// Shortens serde's "unknown field `a`, expected one of `b`, `c`, …" to the nearest name.
+fn with_nearest_key(message: &str) -> String {
+    let Some((unknown, rest)) = message.strip_prefix("unknown field `").and_then(|rest| rest.split_once('`')) else {
+        return message.lines().next().unwrap_or_default().to_owned();
+    };
+    let known: Vec<&str> = rest.split('`').skip(1).step_by(2).collect();
+    unknown_key(unknown, &known)
+}
+
+/// "unknown key `a`; did you mean `b`?", or the list where nothing is near.
+pub fn unknown_key(unknown: &str, known: &[&str]) -> String {
+    let near = known
+        .iter()
+        .map(|name| (strsim::jaro_winkler(&unknown.to_lowercase(), &name.to_lowercase()), name))
+        .max_by(|a, b| a.0.total_cmp(&b.0));
+    match near {
+        Some((likeness, name)) if likeness > 0.7 => format!("unknown key `{unknown}`; did you mean `{name}`?"),
+        _ => format!("unknown key `{unknown}`; known are {}", known.join(", ")),
+    }
+}
+
+/// First line that assigns the key's last part or opens its table.
+fn line_of(text: &str, key: &str) -> Option<usize> {
+    let name = key.rsplit('.').next().unwrap_or(key);
+    text.lines()
+        .position(|line| {
+            let line = line.trim_start();
+            line.strip_prefix(name).is_some_and(|rest| rest.trim_start().starts_with('='))
+                || (line.starts_with('[') && line.contains(name))
+                || line.contains(&format!("{name} ="))
+        })
+        .map(|index| index + 1)
+}
+
+impl MachineSpec {
+    /// Reads and checks the text of a `plant.toml`.
+    ///
+    /// # Errors
+    /// [`SpecError`] naming line and key.
+    pub fn from_toml(text: &str) -> Result<Self, SpecError> {
+        let spec: MachineSpec = parse_toml(text)?;
+        spec.check().map_err(|error| error.located(text))?;
+        Ok(spec)
+    }
+
+    /// The file's text; every value is written out.
+    ///
+    /// # Errors
+    /// [`SpecError::Structure`] where TOML cannot express a value (none of a checked machine's).
+    pub fn to_toml(&self) -> Result<String, SpecError> {
+        toml::to_string_pretty(self)
+            .map_err(|error| SpecError::Structure { line: None, message: error.to_string() })
+    }
+
+    /// The effect's parameters in their order; neutral where not given.
+    pub fn effect_values(&self, effect: &dyn Effect) -> Vec<f64> {
+        let given = self.effects.get(effect.key());
+        effect
+            .parameters()
+            .iter()
+            .map(|parameter| given.and_then(|g| g.get(parameter.name)).copied().unwrap_or(parameter.neutral))
+            .collect()
+    }
+
+    /// Sets an effect's parameter given as `effect.parameter=value`, as on the command line.
+    ///
+    /// # Errors
+    /// [`SpecError`] naming the nearest known effect or parameter, or the admitted range.
+    pub fn set_effect(&mut self, assignment: &str) -> Result<(), SpecError> {
+        let structure = |message| SpecError::Structure { line: None, message };
+        let parts = assignment.split_once('=').and_then(|(path, value)| Some((path.split_once('.')?, value)));
+        let Some(((effect, parameter), value)) = parts else {
+            return Err(structure(format!("`{assignment}` is not of the form effect.parameter=value")));
+        };
+        let value: f64 =
+            value.trim().parse().map_err(|_| structure(format!("`{value}` in `{assignment}` is not a number")))?;
+        self.effects.entry(effect.trim().into()).or_default().insert(parameter.trim().into(), value);
+        self.check_effects()
+    }
+
+    /// Checks every value, and that the plant is stable at its step.
+    ///
+    /// # Errors
+    /// [`SpecError`] for the first thing that is wrong.
+    pub fn check(&self) -> Result<(), SpecError> {
+        for info in PlantParameters::ALL {
+            let value = self.plant.get(info.key).unwrap_or(f64::NAN);
+            if !(value.is_finite() && value >= info.minimum) {
+                let expected = if info.minimum > 0.0 { "it must be positive" } else { "it must not be negative" };
+                return Err(value_error(format!("plant.{}", info.key), value, format!("{expected}, in {}", info.unit)));
+            }
+        }
+        self.check_controller()?;
+        self.check_cycle()?;
+        self.check_effects()?;
+        self.check_stability()
+    }
+
+    fn check_controller(&self) -> Result<(), SpecError> {
+        let c = &self.controller;
+        for (key, value, low, high) in [
+            ("kp", c.kp, 0.0, 1e6),
+            ("ki", c.ki, 0.0, 1e6),
+            ("kd", c.kd, 0.0, 1e6),
+            ("period_s", c.period_s, 1e-5, 0.1),
+            ("steps_per_period", c.steps_per_period as f64, 1.0, 1000.0),
+        ] {
+            in_range(format!("controller.{key}"), value, low, high)?;
+        }
+        Ok(())
+    }
+
+    fn check_cycle(&self) -> Result<(), SpecError> {
+        let cycle = &self.cycle;
+        in_range("cycle.period_s".into(), cycle.period_s, 0.1, 3600.0)?;
+        in_range("cycle.period_s / controller.period_s".into(), cycle.period_s / self.controller.period_s, 20.0, 1e7)?;
+        if cycle.moves.is_empty() {
+            let message = "cycle.moves is empty: a machine that never moves has no duty cycle".into();
+            return Err(SpecError::Structure { line: None, message });
+        }
+        let mut time = 0.0;
+        for (index, stroke) in cycle.moves.iter().enumerate() {
+            in_range(format!("cycle.moves[{index}].from_s"), stroke.from_s, time, cycle.period_s)?;
+            in_range(format!("cycle.moves[{index}].to_s"), stroke.to_s, stroke.from_s + 1e-3, cycle.period_s)?;
+            in_range(format!("cycle.moves[{index}].to_m"), stroke.to_m, 0.0, self.plant.stroke_m)?;
+            time = stroke.to_s;
+        }
+        let mut time = 0.0;
+        for (index, corner) in cycle.load.iter().enumerate() {
+            in_range(format!("cycle.load[{index}].at_s"), corner.at_s, time, cycle.period_s)?;
+            in_range(format!("cycle.load[{index}].force_n"), corner.force_n, -1e9, 1e9)?;
+            time = corner.at_s;
+        }
+        Ok(())
+    }
+
+    fn check_effects(&self) -> Result<(), SpecError> {
+        for (key, values) in &self.effects {
+            let Some(effect) = effects::find(key) else {
+                let known: Vec<&str> = effects::ALL.iter().map(|effect| effect.key()).collect();
+                return Err(SpecError::Structure { line: None, message: format!("effects: {}", unknown_key(key, &known)) });
+            };
+            for (name, value) in values {
+                let parameters = effect.parameters();
+                let Some(parameter) = parameters.iter().find(|parameter| parameter.name == name) else {
+                    let known: Vec<&str> = parameters.iter().map(|parameter| parameter.name).collect();
+                    let message = format!("effects.{key}: {}", unknown_key(name, &known));
+                    return Err(SpecError::Structure { line: None, message });
+                };
+                if *value != parameter.neutral {
+                    in_range(format!("effects.{key}.{name}"), *value, parameter.range.0, parameter.range.1)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn check_stability(&self) -> Result<(), SpecError> {
+        let eigenvalue_per_s = self.plant.fastest_eigenvalue_per_s();
+        let steps = self.controller.steps_per_period;
+        let product = eigenvalue_per_s * self.controller.period_s / steps as f64;
+        if product <= RK4_STABILITY_LIMIT {
+            return Ok(());
+        }
+        let needed = (eigenvalue_per_s * self.controller.period_s / RK4_STABILITY_LIMIT).ceil() as usize;
+        Err(SpecError::UnstableStep { eigenvalue_per_s, steps, product, needed })
+    }
+}
+
+impl SpecError {
+    /// Adds the line in the file's text where the error's key stands.
+    fn located(mut self, text: &str) -> Self {
+        match &mut self {
+            SpecError::Value { line, key, .. } => *line = line_of(text, key),
+            SpecError::Structure { line, message } => {
+                *line = message.split('`').nth(1).and_then(|key| line_of(text, key));
+            }
+            SpecError::Format(_) | SpecError::UnstableStep { .. } => {}
+        }
+        self
+    }
+}
+
+fn value_error(key: String, value: f64, expected: String) -> SpecError {
+    SpecError::Value { line: None, key, value, expected }
+}
+
+fn in_range(key: String, value: f64, low: f64, high: f64) -> Result<(), SpecError> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err(value_error(key, value, format!("it must lie in {low} … {high}")))
+}
