@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use crate::cycle::{Instant, Schedule, Turn};
 use crate::machine::{Input, Machine, Record};
 use crate::real::{LANES, Lanes};
+use crate::simd::widest;
 use crate::spec::MachineSpec;
 
 /// One machine of a batch and what it is asked to do.
@@ -54,7 +55,6 @@ pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &Record<Lanes>)) {
     let mut state = machine.start();
     let mut instants: Vec<Instant> = Vec::with_capacity(LANES);
     // A block of ticks at a time runs under the widest instructions; the sink is called outside of them.
-    let arch = pulp::Arch::new();
     let mut block: Vec<Record<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     let mut inputs: Vec<Input<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     let mut tick = 0;
@@ -67,7 +67,7 @@ pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &Record<Lanes>)) {
             inputs.push(Input::gather(&instants));
         }
         block.clear();
-        arch.dispatch(
+        widest(
             #[inline(always)]
             || {
                 for input in &inputs {

@@ -16,6 +16,7 @@ pub mod machine;
 pub mod noise;
 pub mod plant;
 pub mod real;
+pub mod simd;
 pub mod spec;
 
 pub use controller::Controller;

@@ -1,0 +1,457 @@
+//! From samples to cycles with features.
+
+use seepd_signals::{Sample, Signal};
+
+use crate::feature::Feature;
+use crate::intake::{Counts, IntakeState, Verdict};
+use crate::kalman::{Kalman, KalmanState};
+use crate::segment::{CycleDefinition, Finding, SegmentState, Span};
+use crate::statistics::{CycleStatistics, RingView};
+
+/// Why a cycle is not used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Reason {
+    /// Begins before the log or ends after it, or a stroke is missing.
+    Incomplete,
+    /// Samples are missing.
+    Gap,
+    /// The same cycle again.
+    Duplicate,
+    /// Time went backwards within it.
+    OutOfOrder,
+    /// The command was not a number.
+    NotANumber,
+    /// The command lay outside of −1 … 1.
+    OutOfRange,
+    /// The command stood still while the machine had to move.
+    Stuck,
+    /// Samples came at another rate than the model's.
+    WrongRate,
+}
+
+impl Reason {
+    /// The reason's name in messages and summaries.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Reason::Incomplete => "incomplete",
+            Reason::Gap => "gap",
+            Reason::Duplicate => "duplicate",
+            Reason::OutOfOrder => "out_of_order",
+            Reason::NotANumber => "not_a_number",
+            Reason::OutOfRange => "out_of_range",
+            Reason::Stuck => "stuck",
+            Reason::WrongRate => "wrong_rate",
+        }
+    }
+}
+
+/// A cycle with its features.
+#[derive(Debug, Clone, Copy)]
+pub struct ValidCycle<'a> {
+    /// Start, ns.
+    pub start_ns: i64,
+    /// End, ns.
+    pub end_ns: i64,
+    /// Features in the reader's order.
+    pub features: &'a [f64],
+    /// What the features were read off.
+    pub statistics: &'a CycleStatistics,
+}
+
+/// A cycle that is not used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RejectedCycle {
+    /// Start, as far as it can be told, ns.
+    pub start_ns: i64,
+    /// End, as far as it can be told, ns.
+    pub end_ns: i64,
+    /// Why.
+    pub reason: Reason,
+}
+
+/// What becomes of a duty cycle.
+#[derive(Debug, Clone, Copy)]
+pub enum Outcome<'a> {
+    /// It has features.
+    Valid(ValidCycle<'a>),
+    /// It is not used.
+    Rejected(RejectedCycle),
+}
+
+/// Configuration: the filter, the cycle, and which features are wanted.
+#[derive(Debug, Clone, Copy)]
+pub struct CycleReader<'m> {
+    /// Filter; `None` takes the command as it is.
+    pub filter: Option<Kalman>,
+    /// The duty cycle.
+    pub definition: CycleDefinition<'m>,
+    /// Features in the order in which they are wanted, at most [`MAX_FEATURES`].
+    pub features: &'m [Feature],
+}
+
+/// Most features of a cycle.
+pub const MAX_FEATURES: usize = 64;
+/// Cycles that are remembered to recognise a repeated one.
+const REMEMBERED_CYCLES: usize = 64;
+/// Late or duplicated samples that a cycle may hold and still be used: they are left out, and nothing is lost.
+const STRAY_SAMPLES: u64 = 10;
+/// A command that stands still for this share of the period within a stroke is stuck.
+const STUCK_SHARE: f64 = 0.04;
+/// Standstills that are remembered.
+const REMEMBERED_RUNS: usize = 8;
+
+/// Everything that reading remembers; `B` is the memory for a cycle's samples, at least
+/// [`CycleDefinition::ring_samples`] long.
+#[derive(Debug, Clone)]
+pub struct CycleState<B> {
+    counts: Counts,
+    intake: IntakeState,
+    kalman: KalmanState,
+    segment: SegmentState,
+    ring: B,
+    cursor: usize,
+    filled: i64,
+    /// Number of the next sample since the last restart.
+    next: i64,
+    last_ns: i64,
+    last_command: f64,
+    /// Counts at the end of the last cycle.
+    counts_before: Counts,
+    /// A cycle whose last samples are still to come.
+    open: Option<Span>,
+    /// Why the stretch began, until a cycle shows that nothing was lost, or that it was.
+    pending: Option<Reason>,
+    /// The cycle that the next orphaned stroke belongs to has been reported already.
+    reported: bool,
+    /// Standstills: first and last sample number.
+    runs: [(i64, i64); REMEMBERED_RUNS],
+    run_start: i64,
+    starts: StartMarks,
+    seen: [(i64, u64); REMEMBERED_CYCLES],
+    seen_count: usize,
+}
+
+/// Starts of cycles as the demand or a start-of-cycle signal tells them.
+#[derive(Debug, Clone, Copy, Default)]
+struct StartMarks {
+    /// Whether the signal was above its level at the last sample.
+    above: Option<bool>,
+    marks: [i64; 4],
+    count: usize,
+}
+
+impl<B: AsRef<[f32]> + AsMut<[f32]>> CycleState<B> {
+    /// Begins with an empty memory.
+    pub fn new(ring: B) -> Self {
+        CycleState {
+            counts: Counts::default(),
+            intake: IntakeState::default(),
+            kalman: KalmanState::default(),
+            segment: SegmentState::default(),
+            ring,
+            cursor: 0,
+            filled: 0,
+            next: 0,
+            last_ns: 0,
+            last_command: 0.0,
+            counts_before: Counts::default(),
+            open: None,
+            pending: None,
+            reported: false,
+            runs: [(0, 0); REMEMBERED_RUNS],
+            run_start: 0,
+            starts: StartMarks::default(),
+            seen: [(0, 0); REMEMBERED_CYCLES],
+            seen_count: 0,
+        }
+    }
+
+    /// Samples used and left out so far.
+    pub fn counts(&self) -> &Counts {
+        &self.counts
+    }
+
+    /// Rate of the samples, Hz, where it is not the model's.
+    pub fn wrong_rate_hz(&self) -> Option<f64> {
+        self.intake.wrong_rate_hz
+    }
+
+    /// For how many samples the command has not changed by a bit.
+    pub fn standstill_samples(&self) -> i64 {
+        self.next - self.run_start
+    }
+
+    fn view(&self) -> RingView<'_> {
+        RingView::new(self.ring.as_ref(), self.next, self.filled, self.cursor)
+    }
+
+    fn time_ns(&self, number: i64, period_ns: f64) -> i64 {
+        self.last_ns.saturating_sub(((self.next - 1 - number) as f64 * period_ns) as i64)
+    }
+}
+
+impl<'m> CycleReader<'m> {
+    fn period_ns(&self) -> f64 {
+        1e9 / self.definition.sample_rate_hz
+    }
+
+    /// Takes a sample; `sink` hears of each cycle that it completes or spoils.
+    #[inline]
+    pub fn push<B: AsRef<[f32]> + AsMut<[f32]>>(
+        &self,
+        state: &mut CycleState<B>,
+        sample: &Sample,
+        sink: &mut impl FnMut(Outcome<'_>),
+    ) {
+        match state.intake.judge(&mut state.counts, sample, self.period_ns()) {
+            Verdict::Drop => return,
+            Verdict::Use { command, bridged } => {
+                for _ in 0..bridged {
+                    let held = state.last_command;
+                    self.take(state, held, sink);
+                }
+                state.last_ns = sample.time_ns;
+                self.take(state, command, sink);
+            }
+            Verdict::Restart { command, reason } => {
+                self.restart(state, reason, sink);
+                state.last_ns = sample.time_ns;
+                state.last_command = command;
+                self.take(state, command, sink);
+            }
+        }
+        self.mark_start(state, sample);
+    }
+
+    /// Ends the stream: what is under way is incomplete.
+    pub fn finish<B: AsRef<[f32]> + AsMut<[f32]>>(
+        &self,
+        state: &mut CycleState<B>,
+        sink: &mut impl FnMut(Outcome<'_>),
+    ) {
+        self.restart(state, Reason::Incomplete, sink);
+    }
+
+    /// Forgets the samples: what was under way is lost for `reason`.
+    fn restart<B: AsRef<[f32]> + AsMut<[f32]>>(
+        &self,
+        state: &mut CycleState<B>,
+        reason: Reason,
+        sink: &mut impl FnMut(Outcome<'_>),
+    ) {
+        let spoilt = state.open.is_some() || state.segment.is_amid_cycle(&self.definition, state.next);
+        if spoilt {
+            let start = state.open.map_or(state.view().oldest(), |open| open.start);
+            self.reject(state, start, state.next, reason, sink);
+        }
+        state.reported = spoilt && state.open.is_none();
+        state.pending = (!spoilt).then_some(reason);
+        state.open = None;
+        state.segment = SegmentState::default();
+        state.kalman = KalmanState::default();
+        state.filled = 0;
+        state.next = 0;
+        state.run_start = 0;
+        state.runs = [(0, 0); REMEMBERED_RUNS];
+        state.starts = StartMarks::default();
+    }
+
+    #[inline]
+    fn take<B: AsRef<[f32]> + AsMut<[f32]>>(
+        &self,
+        state: &mut CycleState<B>,
+        command: f64,
+        sink: &mut impl FnMut(Outcome<'_>),
+    ) {
+        let number = state.next;
+        self.note_standstill(state, command, number);
+        let filtered = match &self.filter {
+            Some(kalman) => kalman.step(&mut state.kalman, command),
+            None => command,
+        };
+        let ring = state.ring.as_mut();
+        let length = ring.len();
+        if let Some(slot) = ring.get_mut(state.cursor) {
+            *slot = filtered as f32;
+        }
+        state.cursor = if state.cursor + 1 >= length { 0 } else { state.cursor + 1 };
+        state.filled = (state.filled + 1).min(length as i64);
+        state.next += 1;
+        match state.segment.push(&self.definition, number, filtered) {
+            Some(Finding::Cycle(span)) => self.found(state, span, sink),
+            Some(Finding::OrphanedLastStroke(end)) => self.orphaned(state, end, sink),
+            None => {}
+        }
+        if let Some(span) = state.open.filter(|span| state.next >= span.end) {
+            state.open = None;
+            self.close(state, &span, sink);
+        }
+    }
+
+    #[inline]
+    fn note_standstill<B>(&self, state: &mut CycleState<B>, command: f64, number: i64) {
+        if command == state.last_command && number > 0 {
+            return;
+        }
+        let long = STUCK_SHARE * self.definition.period_s * self.definition.sample_rate_hz;
+        // Saturated, the command may stand still and be right.
+        if (number - state.run_start) as f64 > long && libm::fabs(state.last_command) < 0.999 {
+            state.runs.rotate_right(1);
+            state.runs[0] = (state.run_start, number);
+        }
+        state.run_start = number;
+        state.last_command = command;
+    }
+
+    /// A start-of-cycle signal's rise, or else the demand's crossing, where the log has one.
+    #[inline]
+    fn mark_start<B>(&self, state: &mut CycleState<B>, sample: &Sample) {
+        let (now, level, at_s, rising) = if let Some(now) = sample.get(Signal::CycleStart) {
+            (now, 0.5, 0.0, true)
+        } else if let (Some(now), Some(mark)) = (sample.get(Signal::Demand), self.definition.demand_mark) {
+            (now, mark.level_m, mark.at_s, mark.rising)
+        } else {
+            return;
+        };
+        let marks = &mut state.starts;
+        if !now.is_finite() {
+            return;
+        }
+        let above = now > level;
+        if marks.above.is_some_and(|before| before != above) && above == rising {
+            let offset = libm::round(at_s * self.definition.sample_rate_hz) as i64;
+            marks.marks[marks.count % marks.marks.len()] = state.next - 1 - offset;
+            marks.count += 1;
+        }
+        marks.above = Some(above);
+    }
+
+    /// The start-of-cycle mark near a start, if the log has such marks.
+    fn marked_start<B>(&self, state: &CycleState<B>, start: i64) -> Option<i64> {
+        let near = self.definition.tolerance * self.definition.period_s * self.definition.sample_rate_hz;
+        let marks = &state.starts;
+        let known = marks.marks.iter().take(marks.count.min(marks.marks.len()));
+        known.copied().filter(|mark| ((mark - start) as f64).abs() <= near).min_by_key(|mark| (mark - start).abs())
+    }
+
+    fn found<B: AsRef<[f32]> + AsMut<[f32]>>(
+        &self,
+        state: &mut CycleState<B>,
+        mut span: Span,
+        sink: &mut impl FnMut(Outcome<'_>),
+    ) {
+        if let Some(previous) = state.open.take() {
+            // The pause was shorter than planned: the previous cycle ends where this one begins.
+            self.close(state, &Span { end: previous.end.min(state.next), ..previous }, sink);
+        }
+        if let Some(mark) = self.marked_start(state, span.start) {
+            span.start = mark;
+        }
+        let missing = state.view().oldest() - span.start;
+        // A hold may lack its first samples; more is a cycle that began before the stretch did.
+        let bearable = libm::round(0.02 * self.definition.sample_rate_hz) as i64;
+        let pending = state.pending.take();
+        let reported = core::mem::take(&mut state.reported);
+        if missing > bearable {
+            if !reported {
+                self.reject(state, span.start, span.end, pending.unwrap_or(Reason::Incomplete), sink);
+            }
+            return;
+        }
+        state.open = Some(span);
+    }
+
+    fn orphaned<B: AsRef<[f32]> + AsMut<[f32]>>(
+        &self,
+        state: &mut CycleState<B>,
+        end: i64,
+        sink: &mut impl FnMut(Outcome<'_>),
+    ) {
+        let pending = state.pending.take();
+        if core::mem::take(&mut state.reported) {
+            return;
+        }
+        let start = state.view().oldest();
+        self.reject(state, start.max(end - self.definition.cycle_samples() as i64), end, pending.unwrap_or(Reason::Incomplete), sink);
+    }
+
+    fn reject<B: AsRef<[f32]> + AsMut<[f32]>>(
+        &self,
+        state: &mut CycleState<B>,
+        start: i64,
+        end: i64,
+        reason: Reason,
+        sink: &mut impl FnMut(Outcome<'_>),
+    ) {
+        state.counts_before = state.counts;
+        let period_ns = self.period_ns();
+        sink(Outcome::Rejected(RejectedCycle {
+            start_ns: state.time_ns(start, period_ns),
+            end_ns: state.time_ns(end.min(state.next), period_ns),
+            reason,
+        }));
+    }
+
+    /// All samples of a cycle are there: check it and compute its features.
+    #[inline(never)]
+    fn close<B: AsRef<[f32]> + AsMut<[f32]>>(
+        &self,
+        state: &mut CycleState<B>,
+        span: &Span,
+        sink: &mut impl FnMut(Outcome<'_>),
+    ) {
+        let period_ns = self.period_ns();
+        let start_ns = state.time_ns(span.start, period_ns);
+        let end_ns = state.time_ns(span.end, period_ns);
+        let statistics = CycleStatistics::of(&self.definition, &state.view(), span);
+        let mut features = [0.0; MAX_FEATURES];
+        for (value, feature) in features.iter_mut().zip(self.features) {
+            *value = feature.of(&self.definition, &statistics);
+        }
+        let wanted = features.get(..self.features.len()).unwrap_or(&features);
+        if let Some(reason) = self.objection(state, span, start_ns, &statistics) {
+            self.reject(state, span.start, span.end, reason, sink);
+            return;
+        }
+        state.counts_before = state.counts;
+        sink(Outcome::Valid(ValidCycle { start_ns, end_ns, features: wanted, statistics: &statistics }));
+    }
+
+    fn objection<B>(
+        &self,
+        state: &mut CycleState<B>,
+        span: &Span,
+        start_ns: i64,
+        statistics: &CycleStatistics,
+    ) -> Option<Reason> {
+        let (now, before) = (&state.counts, &state.counts_before);
+        if now.duplicate - before.duplicate > STRAY_SAMPLES {
+            return Some(Reason::Duplicate);
+        }
+        if now.out_of_order - before.out_of_order > STRAY_SAMPLES {
+            return Some(Reason::OutOfOrder);
+        }
+        if self.is_stuck(state, span) {
+            return Some(Reason::Stuck);
+        }
+        // The same start and the same mean to the bit: the log holds this cycle twice.
+        let identity = (start_ns, statistics.moments.mean.to_bits());
+        if state.seen.iter().take(state.seen_count.min(REMEMBERED_CYCLES)).any(|seen| *seen == identity) {
+            return Some(Reason::Duplicate);
+        }
+        state.seen[state.seen_count % REMEMBERED_CYCLES] = identity;
+        state.seen_count += 1;
+        None
+    }
+
+    /// Whether a standstill overlaps a stroke by more than is plausible.
+    fn is_stuck<B>(&self, state: &CycleState<B>, span: &Span) -> bool {
+        let rate = self.definition.sample_rate_hz;
+        let long = STUCK_SHARE * self.definition.period_s * rate;
+        self.definition.phases.iter().filter(|phase| phase.kind == crate::segment::PhaseKind::Stroke).any(|phase| {
+            let from = span.start as f64 + phase.from_s * rate;
+            let to = span.start as f64 + phase.to_s * rate;
+            state.runs.iter().any(|(start, end)| (*end as f64).min(to) - (*start as f64).max(from) > long)
+        })
+    }
+}

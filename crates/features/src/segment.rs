@@ -1,0 +1,290 @@
+//! Where the duty cycles are: found from the command alone, by the shape of two of its strokes.
+//!
+//! The filtered command is averaged into bins of 50 ms (configurable) and compared with two templates, the cycle's
+//! first and last large stroke, by normalised cross-correlation: independent of offset and scale, which leaks,
+//! loads and valves change. A maximum of the last stroke's correlation looks back for the first stroke's at
+//! the planned distance; the two anchor the cycle. Standstill between cycles does not matter.
+
+/// A stroke by whose shape cycles are found.
+#[derive(Debug, Clone, Copy)]
+pub struct Anchor<'m> {
+    /// Shape in bins, mean 0 and sum of squares 1.
+    pub template: &'m [f32],
+    /// Time in the cycle at which the template ends, s.
+    pub end_s: f64,
+    /// Least normalised correlation, −1 … 1, that counts as this stroke.
+    pub least_correlation: f64,
+    /// Least standard deviation of the command over the stroke, share of full command.
+    pub least_deviation: f64,
+}
+
+/// What the machine is asked to do in a part of the cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PhaseKind {
+    /// The demand moves.
+    Stroke,
+    /// The demand stands.
+    Hold,
+}
+
+/// A part of the cycle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Phase {
+    /// Start in the cycle, s.
+    pub from_s: f64,
+    /// End in the cycle, s.
+    pub to_s: f64,
+    /// Moving or standing.
+    pub kind: PhaseKind,
+}
+
+/// A direction in the space of cycle-aligned bins, such as a principal component.
+#[derive(Debug, Clone, Copy)]
+pub struct Projection<'m> {
+    /// Bin values to subtract.
+    pub mean: &'m [f32],
+    /// Direction.
+    pub loading: &'m [f32],
+}
+
+/// A crossing of the demand that tells where cycles begin, for logs that have the demand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DemandMark {
+    /// Level that is crossed, m.
+    pub level_m: f64,
+    /// Time in the cycle of the crossing, s.
+    pub at_s: f64,
+    /// Upwards, or downwards.
+    pub rising: bool,
+}
+
+/// A duty cycle as the monitor must know it.
+#[derive(Debug, Clone, Copy)]
+pub struct CycleDefinition<'m> {
+    /// Samples a second.
+    pub sample_rate_hz: f64,
+    /// Period, s.
+    pub period_s: f64,
+    /// Samples in a bin.
+    pub bin_samples: usize,
+    /// First and last stroke.
+    pub anchors: [Anchor<'m>; 2],
+    /// Where the demand tells the start of a cycle.
+    pub demand_mark: Option<DemandMark>,
+    /// How far the distance between the strokes may be off plan, share of the period.
+    pub tolerance: f64,
+    /// Parts of the cycle, at most [`MAX_PHASES`].
+    pub phases: &'m [Phase],
+    /// Projections of the cycle's bins.
+    pub projections: &'m [Projection<'m>],
+}
+
+/// Most phases of a cycle.
+pub const MAX_PHASES: usize = 16;
+/// Most bins of a template.
+pub const MAX_TEMPLATE_BINS: usize = 128;
+/// Most bins of a cycle.
+pub const MAX_CYCLE_BINS: usize = 512;
+/// A better match within this time replaces the one before, share of the period.
+const CONFIRM_SHARE: f64 = 0.05;
+
+impl CycleDefinition<'_> {
+    /// Samples of a whole cycle.
+    pub fn cycle_samples(&self) -> usize {
+        (self.period_s * self.sample_rate_hz) as usize
+    }
+
+    /// Least length of the ring buffer that [`CycleState`](crate::CycleState) needs: a cycle, what the distance
+    /// between the strokes may stretch, and the time until a stroke is confirmed.
+    pub fn ring_samples(&self) -> usize {
+        ((1.0 + 2.0 * self.tolerance + 2.0 * CONFIRM_SHARE) * self.period_s * self.sample_rate_hz) as usize
+            + 2 * self.bin_samples
+    }
+
+    /// Bins of a whole cycle.
+    pub fn cycle_bins(&self) -> usize {
+        self.cycle_samples().checked_div(self.bin_samples).unwrap_or(0).min(MAX_CYCLE_BINS)
+    }
+
+    /// Samples between the two anchors as planned.
+    fn planned_distance(&self) -> f64 {
+        (self.anchors[1].end_s - self.anchors[0].end_s) * self.sample_rate_hz
+    }
+
+    fn tolerance_samples(&self) -> f64 {
+        self.tolerance * self.period_s * self.sample_rate_hz
+    }
+
+    fn confirm_samples(&self) -> f64 {
+        CONFIRM_SHARE * self.period_s * self.sample_rate_hz
+    }
+}
+
+/// A place where a stroke's template matches best.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Match {
+    /// Sample number of the template's end.
+    end: f64,
+    /// Normalised correlation.
+    correlation: f64,
+}
+
+/// A cycle's place in the stream of samples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Span {
+    /// Sample number at which the cycle begins.
+    pub start: i64,
+    /// Sample number just after the cycle.
+    pub end: i64,
+    /// Sample numbers of the two anchors.
+    pub anchors: [f64; 2],
+}
+
+/// What a sample reveals about cycles.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Finding {
+    /// A cycle, of which the last samples may be still to come.
+    Cycle(Span),
+    /// A last stroke without its first one at the planned distance; the sample number of its end.
+    OrphanedLastStroke(i64),
+}
+
+/// First strokes that are remembered until a last stroke looks back for its own.
+const REMEMBERED: usize = 8;
+
+/// What the segmentation remembers.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SegmentState {
+    bins: [f32; MAX_TEMPLATE_BINS],
+    bin_sum: f64,
+    bin_fill: usize,
+    bin_count: i64,
+    /// The last two correlations of each anchor.
+    correlations: [[f64; 2]; 2],
+    first: [Option<Match>; REMEMBERED],
+    last: Option<Match>,
+}
+
+impl Default for SegmentState {
+    fn default() -> Self {
+        SegmentState {
+            bins: [0.0; MAX_TEMPLATE_BINS],
+            bin_sum: 0.0,
+            bin_fill: 0,
+            bin_count: 0,
+            correlations: [[-1.0; 2]; 2],
+            first: [None; REMEMBERED],
+            last: None,
+        }
+    }
+}
+
+impl SegmentState {
+    /// Whether a first stroke has been seen whose last stroke may still come, at sample `now`.
+    pub(crate) fn is_amid_cycle(&self, definition: &CycleDefinition<'_>, now: i64) -> bool {
+        let longest = definition.planned_distance() + definition.tolerance_samples() + definition.confirm_samples();
+        self.last.is_some() || self.first.iter().flatten().any(|first| now as f64 - first.end < longest)
+    }
+
+    /// Takes sample number `now`.
+    #[inline]
+    pub(crate) fn push(&mut self, definition: &CycleDefinition<'_>, now: i64, command: f64) -> Option<Finding> {
+        self.bin_sum += command;
+        self.bin_fill += 1;
+        if self.bin_fill < definition.bin_samples {
+            return None;
+        }
+        let mean = self.bin_sum / self.bin_fill as f64;
+        self.bin_sum = 0.0;
+        self.bin_fill = 0;
+        self.bins[(self.bin_count as usize) % MAX_TEMPLATE_BINS] = mean as f32;
+        self.bin_count += 1;
+        self.push_bin(definition, now)
+    }
+
+    fn push_bin(&mut self, definition: &CycleDefinition<'_>, now: i64) -> Option<Finding> {
+        for which in 0..2 {
+            let correlation = self.correlation(&definition.anchors[which]);
+            let [before, peak] = self.correlations[which];
+            self.correlations[which] = [peak, correlation];
+            let is_maximum = peak >= definition.anchors[which].least_correlation && peak > before && peak >= correlation;
+            if is_maximum {
+                // The vertex of the parabola through the three correlations around the maximum.
+                let curvature = before - 2.0 * peak + correlation;
+                let shift = if curvature < 0.0 { 0.5 * (before - correlation) / curvature } else { 0.0 };
+                let bin_samples = definition.bin_samples as f64;
+                let end = (now + 1) as f64 - bin_samples * (1.0 - shift);
+                self.matched(which, Match { end, correlation: peak }, definition.confirm_samples());
+            }
+        }
+        let last = self.last.filter(|last| now as f64 - last.end >= definition.confirm_samples())?;
+        self.last = None;
+        Some(self.cycle_ending_with(definition, last))
+    }
+
+    /// Notes a match; of two that are close together the better one counts.
+    fn matched(&mut self, which: usize, new: Match, close: f64) {
+        if which == 1 {
+            if self.last.is_none_or(|old| new.correlation > old.correlation) {
+                self.last = Some(new);
+            }
+            return;
+        }
+        if let Some(old) = self.first.iter_mut().flatten().find(|old| new.end - old.end < close) {
+            if new.correlation > old.correlation {
+                *old = new;
+            }
+            return;
+        }
+        self.first.rotate_right(1);
+        self.first[0] = Some(new);
+    }
+
+    fn cycle_ending_with(&mut self, definition: &CycleDefinition<'_>, last: Match) -> Finding {
+        let planned = definition.planned_distance();
+        let tolerance = definition.tolerance_samples();
+        let mut best: Option<Match> = None;
+        for first in self.first.iter().flatten() {
+            let fits = libm::fabs(last.end - first.end - planned) <= tolerance;
+            if fits && best.is_none_or(|best| first.correlation > best.correlation) {
+                best = Some(*first);
+            }
+        }
+        let Some(first) = best else {
+            return Finding::OrphanedLastStroke(libm::round(last.end) as i64);
+        };
+        self.first = [None; REMEMBERED];
+        let rate = definition.sample_rate_hz;
+        Finding::Cycle(Span {
+            start: libm::round(first.end - definition.anchors[0].end_s * rate) as i64,
+            end: libm::round(last.end + (definition.period_s - definition.anchors[1].end_s) * rate) as i64,
+            anchors: [first.end, last.end],
+        })
+    }
+
+    /// Normalised correlation of the newest bins with the template; −1 before there are enough bins, or
+    /// where the command hardly moves.
+    fn correlation(&self, anchor: &Anchor<'_>) -> f64 {
+        let n = anchor.template.len().min(MAX_TEMPLATE_BINS);
+        if n == 0 || self.bin_count < n as i64 {
+            return -1.0;
+        }
+        let oldest = (self.bin_count - n as i64) as usize;
+        // Around the oldest bin, so that the sum of squares does not cancel.
+        let pivot = self.bins[oldest % MAX_TEMPLATE_BINS];
+        let (mut product, mut sum, mut squares) = (0.0f64, 0.0f64, 0.0f64);
+        for (index, weight) in anchor.template.iter().take(n).enumerate() {
+            let value = f64::from(self.bins[(oldest + index) % MAX_TEMPLATE_BINS] - pivot);
+            product += f64::from(*weight) * value;
+            sum += value;
+            squares += value * value;
+        }
+        let n = n as f64;
+        let deviation = squares - sum * sum / n;
+        if deviation > n * anchor.least_deviation * anchor.least_deviation {
+            product / libm::sqrt(deviation)
+        } else {
+            -1.0
+        }
+    }
+}

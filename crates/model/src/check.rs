@@ -1,0 +1,231 @@
+//! Every check of a model file, with the JSON path of what is wrong.
+
+use alloc::format;
+use alloc::string::{String, ToString};
+use core::fmt;
+
+use seepd_features::Feature;
+use seepd_features::reader::MAX_FEATURES;
+use seepd_features::segment::{MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS};
+
+use crate::schema::{Calibration, Cycle, Filter, ModelFile, SCHEMA, Transform, Tree};
+
+/// Largest file that is read, bytes: sixteen times the size that training aims at, and small on any gateway.
+pub const MAX_FILE_BYTES: usize = 16 << 20;
+
+/// Why a model is refused.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ModelError {
+    /// JSON path, such as `trees[3].right[7]`; empty for the file as a whole.
+    pub path: String,
+    /// What is wrong there.
+    pub message: String,
+}
+
+impl fmt::Display for ModelError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.path.is_empty() || self.path == "." {
+            write!(f, "model: {}", self.message)
+        } else {
+            write!(f, "model: {}: {}", self.path, self.message)
+        }
+    }
+}
+
+impl core::error::Error for ModelError {}
+
+fn refuse<T>(path: impl Into<String>, message: impl Into<String>) -> Result<T, ModelError> {
+    Err(ModelError { path: path.into(), message: message.into() })
+}
+
+/// Reads the structure; nothing of its content has been checked after this.
+pub(crate) fn parse(json: &[u8]) -> Result<ModelFile, ModelError> {
+    if json.len() > MAX_FILE_BYTES {
+        return refuse("", format!("{} bytes; at most {MAX_FILE_BYTES} are read", json.len()));
+    }
+    let mut deserializer = serde_json::Deserializer::from_slice(json);
+    let file: ModelFile = serde_path_to_error::deserialize(&mut deserializer)
+        .map_err(|error| ModelError { path: error.path().to_string(), message: error.inner().to_string() })?;
+    deserializer.end().map_err(|error| ModelError { path: String::new(), message: error.to_string() })?;
+    Ok(file)
+}
+
+/// Checks everything but the golden pairs.
+pub(crate) fn check(file: &ModelFile) -> Result<(), ModelError> {
+    if file.schema != SCHEMA {
+        return refuse("schema", format!("is `{}`; this program reads `{SCHEMA}`", file.schema));
+    }
+    within("sample_rate_hz", file.sample_rate_hz, 1.0, 1e6)?;
+    if let Some(Filter::Kalman(kalman)) = &file.filter {
+        within("filter.kalman.q", kalman.q, 0.0, 1e9)?;
+        within("filter.kalman.r", kalman.r, 1e-12, 1e12)?;
+    }
+    check_cycle(&file.cycle, file.sample_rate_hz)?;
+    check_projections(file)?;
+    check_features(file)?;
+    if (file.target.as_str(), file.unit.as_str()) != ("leak_area", "m2") {
+        return refuse("target", format!("is `{}` in `{}`; this program knows `leak_area` in `m2`", file.target, file.unit));
+    }
+    if let Transform::LnOffset(offset) = file.transform {
+        within("transform.ln_offset", offset, 1e-15, 1.0)?;
+    }
+    within("orifice.discharge_coefficient", file.orifice.discharge_coefficient, 0.01, 1.0)?;
+    within("orifice.density_kg_per_m3", file.orifice.density_kg_per_m3, 100.0, 1e4)?;
+    if file.trees.is_empty() {
+        return refuse("trees", "is empty");
+    }
+    for (index, tree) in file.trees.iter().enumerate() {
+        check_tree(tree, file.features.len(), &format!("trees[{index}]"))?;
+    }
+    check_calibration(&file.calibration)
+}
+
+fn within(path: &str, value: f64, low: f64, high: f64) -> Result<(), ModelError> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    refuse(path, format!("is {value}; it must lie in {low} … {high}"))
+}
+
+fn check_cycle(cycle: &Cycle, sample_rate_hz: f64) -> Result<(), ModelError> {
+    within("cycle.period_s", cycle.period_s, 0.1, 3600.0)?;
+    within("cycle.period_s times sample_rate_hz", cycle.period_s * sample_rate_hz, 20.0, 1e7)?;
+    within("cycle.tolerance", cycle.tolerance, 0.0, 0.5)?;
+    let bins = cycle.period_s * sample_rate_hz / cycle.bin_samples as f64;
+    within("cycle.period_s in bins", bins, 4.0, MAX_CYCLE_BINS as f64)?;
+    for (index, anchor) in cycle.anchors.iter().enumerate() {
+        let path = |key: &str| format!("cycle.anchors[{index}].{key}");
+        within(&path("end_s"), anchor.end_s, 0.0, 2.0 * cycle.period_s)?;
+        within(&path("least_correlation"), anchor.least_correlation, 0.0, 1.0)?;
+        within(&path("least_deviation"), anchor.least_deviation, 0.0, 1.0)?;
+        within(&path("template.length"), anchor.template.len() as f64, 3.0, MAX_TEMPLATE_BINS as f64)?;
+        all_finite(&path("template"), anchor.template.iter().map(|value| f64::from(*value)))?;
+    }
+    if cycle.anchors[1].end_s <= cycle.anchors[0].end_s {
+        return refuse("cycle.anchors[1].end_s", "must be later than that of anchors[0]");
+    }
+    within("cycle.phases.length", cycle.phases.len() as f64, 1.0, MAX_PHASES as f64)?;
+    for (index, phase) in cycle.phases.iter().enumerate() {
+        within(&format!("cycle.phases[{index}].from_s"), phase.from_s, 0.0, cycle.period_s)?;
+        within(&format!("cycle.phases[{index}].to_s"), phase.to_s, phase.from_s, cycle.period_s)?;
+        if cycle.phases.iter().take(index).any(|other| other.name == phase.name) {
+            return refuse(format!("cycle.phases[{index}].name"), format!("`{}` is there already", phase.name));
+        }
+    }
+    if let Some(mark) = &cycle.demand_mark {
+        within("cycle.demand_mark.level_m", mark.level_m, -1e6, 1e6)?;
+        within("cycle.demand_mark.at_s", mark.at_s, 0.0, cycle.period_s)?;
+    }
+    Ok(())
+}
+
+fn all_finite(path: &str, values: impl Iterator<Item = f64>) -> Result<(), ModelError> {
+    for (index, value) in values.enumerate() {
+        if !value.is_finite() {
+            return refuse(format!("{path}[{index}]"), format!("is {value}; it must be a finite number"));
+        }
+    }
+    Ok(())
+}
+
+fn check_projections(file: &ModelFile) -> Result<(), ModelError> {
+    within("projections.length", file.projections.len() as f64, 0.0, MAX_FEATURES as f64)?;
+    let bins = (file.cycle.period_s * file.sample_rate_hz) as usize / file.cycle.bin_samples;
+    for (index, projection) in file.projections.iter().enumerate() {
+        for (key, values) in [("mean", &projection.mean), ("loading", &projection.loading)] {
+            let path = format!("projections[{index}].{key}");
+            if values.len() != bins {
+                return refuse(path, format!("has {} values; the cycle has {bins} bins", values.len()));
+            }
+            all_finite(&path, values.iter().map(|value| f64::from(*value)))?;
+        }
+    }
+    Ok(())
+}
+
+fn check_features(file: &ModelFile) -> Result<(), ModelError> {
+    within("features.length", file.features.len() as f64, 1.0, MAX_FEATURES as f64)?;
+    for (index, name) in file.features.iter().enumerate() {
+        if feature(file, name).is_none() {
+            let known: alloc::vec::Vec<&str> = Feature::names().collect();
+            let message = format!(
+                "unknown feature `{name}`; known are {}, mean.PHASE, slope.PHASE, relative.PHASE and the projections",
+                known.join(", ")
+            );
+            return refuse(format!("features[{index}]"), message);
+        }
+    }
+    Ok(())
+}
+
+/// The feature of that name in this model.
+pub(crate) fn feature(file: &ModelFile, name: &str) -> Option<Feature> {
+    let phases = file.cycle.phases.iter().map(|phase| phase.name.as_str());
+    Feature::from_name(name, phases, file.projections.iter().map(|projection| projection.name.as_str()))
+}
+
+fn check_tree(tree: &Tree, features: usize, path: &str) -> Result<(), ModelError> {
+    let nodes = tree.feature.len();
+    for (key, length) in [("value", tree.value.len()), ("right", tree.right.len())] {
+        if length != nodes {
+            return refuse(format!("{path}.{key}"), format!("has {length} entries; feature has {nodes}"));
+        }
+    }
+    if nodes == 0 {
+        return refuse(path, "has no nodes");
+    }
+    all_finite(&format!("{path}.value"), tree.value.iter().copied())?;
+    // In preorder each subtree is one run of nodes: walking along, `ends` holds where the right children
+    // still to come must begin. A tree that loops, shares or skips nodes breaks the order.
+    let mut expected_right = alloc::vec::Vec::new();
+    for (index, (feature, right)) in tree.feature.iter().zip(&tree.right).enumerate() {
+        if *feature == -1 {
+            if index + 1 == nodes {
+                break;
+            }
+            match expected_right.pop() {
+                Some((_, right)) if right == index + 1 => {}
+                Some((parent, right)) => {
+                    let message =
+                        format!("is {right}; the left subtree ends at {index}, so it must be {}", index + 1);
+                    return refuse(format!("{path}.right[{parent}]"), message);
+                }
+                None => return refuse(format!("{path}.feature[{}]", index + 1), "no node leads here"),
+            }
+            continue;
+        }
+        if usize::try_from(*feature).map_or(true, |feature| feature >= features) {
+            return refuse(format!("{path}.feature[{index}]"), format!("is {feature}; there are {features} features"));
+        }
+        let right = *right as usize;
+        if right <= index + 1 || right >= nodes {
+            let message = format!("is {right}; it must lie in {} … {}: children follow their parent, or the tree would loop", index + 2, nodes as i64 - 1);
+            return refuse(format!("{path}.right[{index}]"), message);
+        }
+        expected_right.push((index, right));
+    }
+    match (expected_right.last(), tree.feature.last()) {
+        (Some((parent, right)), _) => {
+            refuse(format!("{path}.right[{parent}]"), format!("is {right}; no subtree begins there"))
+        }
+        (None, Some(-1)) => Ok(()),
+        (None, _) => refuse(format!("{path}.feature[{}]", nodes - 1), "the last node must be a leaf"),
+    }
+}
+
+fn check_calibration(calibration: &Calibration) -> Result<(), ModelError> {
+    within("calibration.level", calibration.level, 0.5, 1.0)?;
+    within("calibration.spread_floor", calibration.spread_floor, 0.0, 1e3)?;
+    if calibration.factors.is_empty() {
+        return refuse("calibration.factors", "is empty");
+    }
+    let mut before = f64::NEG_INFINITY;
+    for (index, (y, factor)) in calibration.factors.iter().enumerate() {
+        within(&format!("calibration.factors[{index}][1]"), *factor, 0.0, 1e6)?;
+        if !y.is_finite() || *y <= before {
+            return refuse(format!("calibration.factors[{index}][0]"), format!("is {y}; it must ascend"));
+        }
+        before = *y;
+    }
+    Ok(())
+}

@@ -1,0 +1,164 @@
+//! Evaluation of the trees.
+
+use alloc::vec::Vec;
+
+use crate::schema::{Calibration, Transform, Tree};
+
+/// A node in 16 bytes.
+#[derive(Debug, Clone, Copy)]
+struct Node {
+    /// Threshold, or a leaf's prediction.
+    value: f64,
+    /// Index of the right child in the ensemble's nodes; of itself for a leaf.
+    right: u32,
+    /// Index of the left child less that of the node: 1, and 0 for a leaf.
+    left_step: u16,
+    /// Index of the feature; 0 for a leaf.
+    feature: u16,
+}
+
+/// The trees, their calibration and transform. Built from checked parts only.
+#[derive(Debug, Clone)]
+pub struct Ensemble {
+    nodes: Vec<Node>,
+    /// Root and depth of each tree.
+    roots: Vec<(u32, u32)>,
+    transform: Transform,
+    calibration: Calibration,
+}
+
+/// An estimate of the target, in its unit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// The mean of the trees, transformed back.
+    pub value: f64,
+    /// Standard deviation over the trees, in the transformed target.
+    pub spread: f64,
+    /// Interval that holds the truth at the calibration's level; its lower end is at least 0.
+    pub interval: [f64; 2],
+    /// The mean of the trees, in the transformed target.
+    pub transformed: f64,
+}
+
+/// Trees that are walked side by side, so that their memory accesses overlap.
+const ABREAST: usize = 8;
+
+impl Ensemble {
+    /// Builds an ensemble of trees that have been checked, as [`Model`](crate::Model) does; of others it may give nonsense,
+    /// and panics where an index leads out of its tree.
+    pub fn from_checked(trees: &[Tree], transform: Transform, calibration: Calibration) -> Self {
+        let mut nodes = Vec::with_capacity(trees.iter().map(|tree| tree.feature.len()).sum());
+        let mut roots = Vec::with_capacity(trees.len());
+        for tree in trees {
+            let root = nodes.len() as u32;
+            let mut depth = alloc::vec![0u32; tree.feature.len()];
+            for (index, ((feature, value), right)) in
+                tree.feature.iter().zip(&tree.value).zip(&tree.right).enumerate()
+            {
+                let is_leaf = *feature < 0;
+                if !is_leaf {
+                    for child in [index + 1, *right as usize] {
+                        depth[child] = depth[index] + 1;
+                    }
+                }
+                nodes.push(Node {
+                    value: *value,
+                    right: root + if is_leaf { index as u32 } else { *right },
+                    left_step: u16::from(!is_leaf),
+                    feature: u16::try_from(*feature).unwrap_or(0),
+                });
+            }
+            roots.push((root, depth.iter().copied().max().unwrap_or(0)));
+        }
+        Ensemble { nodes, roots, transform, calibration }
+    }
+
+    /// Number of trees.
+    pub fn trees(&self) -> usize {
+        self.roots.len()
+    }
+
+    /// Number of nodes of all trees.
+    pub fn nodes(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// Estimates the target; `features` in the model's order. A missing or non-finite feature counts as 0,
+    /// which callers rule out.
+    pub fn estimate(&self, features: &[f64]) -> Estimate {
+        let (mut sum, mut squares) = (0.0, 0.0);
+        let mut pivot = None;
+        for trees in self.roots.chunks(ABREAST) {
+            let mut at = [0u32; ABREAST];
+            let mut depth = 0;
+            for (at, (root, tree_depth)) in at.iter_mut().zip(trees) {
+                *at = *root;
+                depth = depth.max(*tree_depth);
+            }
+            // A leaf leads to itself, so that every tree takes the deepest one's number of steps and no step
+            // is a guess for the processor.
+            for _ in 0..depth {
+                for at in at.iter_mut().take(trees.len()) {
+                    *at = self.step(*at, features);
+                }
+            }
+            for at in at.iter().take(trees.len()) {
+                let value = self.nodes.get(*at as usize).map_or(0.0, |node| node.value);
+                let off = value - *pivot.get_or_insert(value);
+                sum += off;
+                squares += off * off;
+            }
+        }
+        let n = self.roots.len() as f64;
+        let mean = sum / n;
+        let variance = (squares / n - mean * mean).max(0.0);
+        self.with_interval(pivot.unwrap_or(0.0) + mean, libm::sqrt(variance))
+    }
+
+    #[inline(always)]
+    fn step(&self, at: u32, features: &[f64]) -> u32 {
+        let Some(node) = self.nodes.get(at as usize) else { return at };
+        let feature = features.get(usize::from(node.feature)).copied().unwrap_or(0.0);
+        if feature <= node.value { at + u32::from(node.left_step) } else { node.right }
+    }
+
+    /// The estimate for a transformed prediction and its spread over the trees.
+    pub fn with_interval(&self, transformed: f64, spread: f64) -> Estimate {
+        let half = self.factor(transformed) * (spread + self.calibration.spread_floor);
+        let back = |y: f64| self.transform.back(y).max(0.0);
+        Estimate {
+            value: back(transformed),
+            spread,
+            interval: [back(transformed - half), back(transformed + half)],
+            transformed,
+        }
+    }
+
+    fn factor(&self, transformed: f64) -> f64 {
+        let factors = &self.calibration.factors;
+        let after = factors.partition_point(|(y, _)| *y <= transformed);
+        match (after.checked_sub(1).and_then(|before| factors.get(before)), factors.get(after)) {
+            (Some((y_a, a)), Some((y_b, b))) => a + (b - a) * (transformed - y_a) / (y_b - y_a),
+            (Some((_, only)), None) | (None, Some((_, only))) => *only,
+            (None, None) => 0.0,
+        }
+    }
+}
+
+impl Transform {
+    /// From the target to what the trees predict.
+    pub fn forward(self, target: f64) -> f64 {
+        match self {
+            Transform::Identity => target,
+            Transform::LnOffset(offset) => libm::log(target + offset),
+        }
+    }
+
+    /// From what the trees predict to the target.
+    pub fn back(self, transformed: f64) -> f64 {
+        match self {
+            Transform::Identity => transformed,
+            Transform::LnOffset(offset) => libm::exp(transformed) - offset,
+        }
+    }
+}

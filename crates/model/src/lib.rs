@@ -1,0 +1,18 @@
+//! The `seepd.model/1` ensemble: schema, checks and evaluation.
+//!
+//! A model is self-contained: sample rate, filter, duty cycle, feature definitions, trees, calibration, and golden
+//! input/output pairs that are checked as it is loaded. [`Model::from_json`] is the only way to one, so a
+//! [`Model`] in hand has been checked and evaluates without a panic. `no_std` with `alloc`.
+#![no_std]
+
+extern crate alloc;
+
+pub mod check;
+pub mod ensemble;
+pub mod model;
+pub mod schema;
+
+pub use check::ModelError;
+pub use ensemble::{Ensemble, Estimate};
+pub use model::Model;
+pub use schema::ModelFile;

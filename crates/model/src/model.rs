@@ -1,0 +1,164 @@
+//! A checked model, ready for use.
+
+use alloc::format;
+use alloc::string::String;
+use alloc::vec::Vec;
+
+use seepd_features::{
+    Anchor, CycleDefinition, CycleReader, DemandMark, Feature, Kalman, Phase, PhaseKind, Projection,
+};
+
+use crate::check::{self, ModelError};
+use crate::ensemble::{Ensemble, Estimate};
+use crate::schema::{Filter, Golden, ModelFile, PhaseKindFile};
+
+/// Relative difference that a golden output may show: the platforms' arithmetic is the same, text is not kept
+/// beyond 17 digits.
+const GOLDEN_TOLERANCE: f64 = 1e-9;
+
+/// A model: what turns the samples of a command into estimates of the leak.
+#[derive(Debug, Clone)]
+pub struct Model {
+    file: ModelFile,
+    features: Vec<Feature>,
+    phases: Vec<Phase>,
+    ensemble: Ensemble,
+}
+
+impl Model {
+    /// Reads and checks a `seepd.model/1` file.
+    ///
+    /// # Errors
+    /// [`ModelError`] with the JSON path: not JSON, a wrong structure, an unknown schema or feature, a tree that is no
+    /// tree, a number that is none, or golden pairs that the model does not meet.
+    pub fn from_json(json: &[u8]) -> Result<Self, ModelError> {
+        Self::from_file(check::parse(json)?)
+    }
+
+    /// Checks a model that is at hand as a structure.
+    ///
+    /// # Errors
+    /// As [`Model::from_json`].
+    pub fn from_file(file: ModelFile) -> Result<Self, ModelError> {
+        check::check(&file)?;
+        let features = file.features.iter().filter_map(|name| check::feature(&file, name)).collect();
+        let phases = file
+            .cycle
+            .phases
+            .iter()
+            .map(|phase| Phase {
+                from_s: phase.from_s,
+                to_s: phase.to_s,
+                kind: match phase.kind {
+                    PhaseKindFile::Stroke => PhaseKind::Stroke,
+                    PhaseKindFile::Hold => PhaseKind::Hold,
+                },
+            })
+            .collect();
+        let ensemble = Ensemble::from_checked(&file.trees, file.transform, file.calibration.clone());
+        let mut model = Model { file, features, phases, ensemble };
+        model.check_golden()?;
+        // The trees live on in the ensemble.
+        model.file.trees = Vec::new();
+        Ok(model)
+    }
+
+    fn check_golden(&self) -> Result<(), ModelError> {
+        for (index, golden) in self.file.golden.iter().enumerate() {
+            self.check_pair(golden).map_err(|message| ModelError { path: format!("golden[{index}]"), message })?;
+        }
+        Ok(())
+    }
+
+    fn check_pair(&self, golden: &Golden) -> Result<(), String> {
+        if golden.features.len() != self.features.len() {
+            return Err(format!("has {} features; the model has {}", golden.features.len(), self.features.len()));
+        }
+        let given = self.estimate(&golden.features);
+        let pairs = [
+            (golden.estimate, given.value),
+            (golden.interval[0], given.interval[0]),
+            (golden.interval[1], given.interval[1]),
+        ];
+        for (expected, given) in pairs {
+            let scale = libm::fabs(expected).max(1e-12);
+            if !(libm::fabs(expected - given) <= GOLDEN_TOLERANCE * scale) {
+                return Err(format!("expects {expected:e}, the model gives {given:e}: the file was altered or is damaged"));
+            }
+        }
+        Ok(())
+    }
+
+    /// The file without its trees.
+    pub fn file(&self) -> &ModelFile {
+        &self.file
+    }
+
+    /// The trees.
+    pub fn ensemble(&self) -> &Ensemble {
+        &self.ensemble
+    }
+
+    /// Names of the features in their order.
+    pub fn feature_names(&self) -> &[String] {
+        &self.file.features
+    }
+
+    /// Estimates the leak area, m², from a cycle's features in the model's order.
+    pub fn estimate(&self, features: &[f64]) -> Estimate {
+        self.ensemble.estimate(features)
+    }
+
+    /// Flow of a leak of that area at a pressure difference, m³/s: `C_d A √(2 Δp / ρ)`, the orifice alone.
+    pub fn leak_flow_m3_per_s(&self, area_m2: f64, pressure_difference_pa: f64) -> f64 {
+        let orifice = &self.file.orifice;
+        orifice.discharge_coefficient
+            * area_m2
+            * libm::sqrt(2.0 * pressure_difference_pa / orifice.density_kg_per_m3)
+    }
+
+    /// The views of the projections, to be kept beside the reader.
+    pub fn projections(&self) -> Vec<Projection<'_>> {
+        self.file
+            .projections
+            .iter()
+            .map(|projection| Projection { mean: &projection.mean, loading: &projection.loading })
+            .collect()
+    }
+
+    /// The configuration that reads cycles for this model; `projections` from [`Model::projections`].
+    pub fn reader<'m>(&'m self, projections: &'m [Projection<'m>]) -> CycleReader<'m> {
+        let cycle = &self.file.cycle;
+        let anchor = |which: usize| {
+            let anchor = &cycle.anchors[which];
+            Anchor {
+                template: &anchor.template,
+                end_s: anchor.end_s,
+                least_correlation: anchor.least_correlation,
+                least_deviation: anchor.least_deviation,
+            }
+        };
+        CycleReader {
+            filter: self.filter(),
+            definition: CycleDefinition {
+                sample_rate_hz: self.file.sample_rate_hz,
+                period_s: cycle.period_s,
+                bin_samples: cycle.bin_samples,
+                anchors: [anchor(0), anchor(1)],
+                demand_mark: cycle.demand_mark.as_ref().map(|mark| DemandMark {
+                    level_m: mark.level_m,
+                    at_s: mark.at_s,
+                    rising: mark.rising,
+                }),
+                tolerance: cycle.tolerance,
+                phases: &self.phases,
+                projections,
+            },
+            features: &self.features,
+        }
+    }
+
+    fn filter(&self) -> Option<Kalman> {
+        self.file.filter.as_ref().map(|Filter::Kalman(kalman)| *kalman)
+    }
+}

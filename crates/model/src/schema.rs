@@ -1,0 +1,214 @@
+//! The structure of `model.json`, as written in the file.
+
+use alloc::string::String;
+use alloc::vec::Vec;
+
+use seepd_features::Kalman;
+use serde::{Deserialize, Serialize};
+
+/// The `schema` field of this version.
+pub const SCHEMA: &str = "seepd.model/1";
+
+/// A `seepd.model/1` file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelFile {
+    /// Always [`SCHEMA`].
+    pub schema: String,
+    /// Program and version that wrote the file.
+    pub created_by: String,
+    /// Samples a second of the command, Hz.
+    pub sample_rate_hz: f64,
+    /// Filter before everything else; absent: none.
+    #[serde(default)]
+    pub filter: Option<Filter>,
+    /// The duty cycle.
+    pub cycle: Cycle,
+    /// Directions in the space of the cycle's bins, read as features by their names.
+    #[serde(default)]
+    pub projections: Vec<ProjectionFile>,
+    /// Names of the features, in the order in which the trees count them.
+    pub features: Vec<String>,
+    /// What is estimated: `leak_area`.
+    pub target: String,
+    /// Its unit: `m2`.
+    pub unit: String,
+    /// Between the trees' values and the target.
+    pub transform: Transform,
+    /// The trees, each with the same weight.
+    pub trees: Vec<Tree>,
+    /// Interval around the estimate.
+    pub calibration: Calibration,
+    /// How an area becomes a flow.
+    pub orifice: Orifice,
+    /// SHA-256 of the plant file on which the model was trained, hexadecimal; empty if there was none.
+    pub plant_sha256: String,
+    /// Inputs with the outputs that the model must give for them.
+    pub golden: Vec<Golden>,
+    /// What the training measured, for people.
+    #[serde(default)]
+    pub training: Option<Training>,
+}
+
+/// The filter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Filter {
+    /// One-dimensional Kalman filter of a random walk.
+    Kalman(Kalman),
+}
+
+/// The duty cycle.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cycle {
+    /// Period, s.
+    pub period_s: f64,
+    /// Samples in a bin.
+    pub bin_samples: usize,
+    /// How far the distance between the anchors may be off plan, share of the period.
+    pub tolerance: f64,
+    /// The first and the last stroke, by whose shape cycles are found.
+    pub anchors: [AnchorFile; 2],
+    /// Where the demand tells the start of a cycle.
+    #[serde(default)]
+    pub demand_mark: Option<DemandMarkFile>,
+    /// Parts of the cycle.
+    pub phases: Vec<PhaseFile>,
+}
+
+/// A stroke by whose shape cycles are found.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AnchorFile {
+    /// Time in the cycle at which the template ends, s.
+    pub end_s: f64,
+    /// Least normalised correlation.
+    pub least_correlation: f64,
+    /// Least standard deviation of the command over the stroke.
+    pub least_deviation: f64,
+    /// Shape in bins, mean 0 and sum of squares 1.
+    pub template: Vec<f32>,
+}
+
+/// A crossing of the demand that tells where cycles begin.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DemandMarkFile {
+    /// Level, m.
+    pub level_m: f64,
+    /// Time in the cycle, s.
+    pub at_s: f64,
+    /// Upwards, or downwards.
+    pub rising: bool,
+}
+
+/// A part of the cycle.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PhaseFile {
+    /// Name, as in features such as `mean.NAME`.
+    pub name: String,
+    /// Start in the cycle, s.
+    pub from_s: f64,
+    /// End in the cycle, s.
+    pub to_s: f64,
+    /// Moving or standing.
+    pub kind: PhaseKindFile,
+}
+
+/// Whether the demand moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PhaseKindFile {
+    /// It moves.
+    Stroke,
+    /// It stands.
+    Hold,
+}
+
+/// A direction in the space of the cycle's bins.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProjectionFile {
+    /// Name, as in `features`.
+    pub name: String,
+    /// Bin values to subtract.
+    pub mean: Vec<f32>,
+    /// Direction.
+    pub loading: Vec<f32>,
+}
+
+/// Between the trees' values y and the target.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Transform {
+    /// y is the target.
+    Identity,
+    /// y = ln(target + offset): relative errors count alike over decades, and 0 is admitted.
+    LnOffset(f64),
+}
+
+/// A tree as flat arrays in preorder: an inner node's left child is the next node.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tree {
+    /// Index into the features; −1 for a leaf.
+    pub feature: Vec<i32>,
+    /// Threshold of an inner node (left where value ≤ threshold); prediction of a leaf.
+    pub value: Vec<f64>,
+    /// Index of an inner node's right child; 0 for a leaf.
+    pub right: Vec<u32>,
+}
+
+/// Interval around the estimate, calibrated on observations that a tree has not seen.
+///
+/// Half width in the transformed target: factor(y) · (spread of the trees + `spread_floor`).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// Share of machines whose truth the interval holds.
+    pub level: f64,
+    /// Added to the spread.
+    pub spread_floor: f64,
+    /// Prediction y and factor there, ascending in y; linear between.
+    pub factors: Vec<(f64, f64)>,
+}
+
+/// How an area becomes a flow: `C_d A √(2 Δp / ρ)`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Orifice {
+    /// Discharge coefficient, 1.
+    pub discharge_coefficient: f64,
+    /// Oil density, kg/m³.
+    pub density_kg_per_m3: f64,
+}
+
+/// An input with its output.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Golden {
+    /// Features in the model's order.
+    pub features: Vec<f64>,
+    /// Target.
+    pub estimate: f64,
+    /// Interval's ends.
+    pub interval: [f64; 2],
+}
+
+/// What the training measured on machines that it had not seen.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Training {
+    /// Seed.
+    pub seed: u64,
+    /// Observations.
+    pub observations: usize,
+    /// Coefficient of determination on the target.
+    pub r2: f64,
+    /// Coefficient of determination on the transformed target.
+    pub r2_transformed: f64,
+    /// Lower and upper end of a range of the target and the median relative error there.
+    pub median_relative_error: Vec<(f64, f64, f64)>,
+}

@@ -1,0 +1,205 @@
+//! Simulated machines and their cycles, read with the monitor's own code.
+
+use seepd_features::statistics::CycleStatistics;
+use seepd_features::{
+    Anchor, CycleDefinition, CycleReader, CycleState, DemandMark, Kalman, Outcome, Phase, PhaseKind, Projection,
+};
+use seepd_model::schema::{Cycle, PhaseKindFile};
+use seepd_signals::Sample;
+use seepd_sim::batch::{self, Job};
+use seepd_sim::cycle::Turn;
+use seepd_sim::noise::Noise;
+use seepd_sim::{MachineSpec, PlantParameters};
+
+/// How simulated machines differ from the plan.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Spread {
+    /// Plant parameters are drawn uniformly within ± this share.
+    pub parameters: f64,
+    /// The load is scaled within ± this share.
+    pub load: f64,
+}
+
+impl Default for Spread {
+    fn default() -> Self {
+        Spread { parameters: 0.05, load: 0.05 }
+    }
+}
+
+/// The parameters that differ from one machine of a series to the next. Areas and stroke are machined, density
+/// and discharge coefficient go with the oil and the orifice, whose product the leak area stands for.
+const VARIED: [&str; 15] = [
+    "bulk_modulus_pa",
+    "pump_flow_m3_per_s",
+    "supply_volume_m3",
+    "inlet_volume_m3",
+    "relief_pressure_pa",
+    "relief_resistance_pa_s_per_m3",
+    "return_pressure_pa",
+    "line_m3_per_s_sqrt_pa",
+    "valve_m3_per_s_sqrt_pa",
+    "cap_dead_volume_m3",
+    "rod_dead_volume_m3",
+    "mass_kg",
+    "viscous_friction_n_s_per_m",
+    "seal_resistance_pa_s_per_m3",
+    "valve_rod_resistance_pa_s_per_m3",
+];
+
+/// A machine with its leak.
+#[derive(Debug, Clone)]
+pub struct Observation {
+    /// The machine.
+    pub spec: MachineSpec,
+    /// Load over plan.
+    pub load_factor: f64,
+    /// Truth, m².
+    pub leak_area_m2: f64,
+    /// Number of the random stream for its noise.
+    pub stream: u64,
+}
+
+/// Smallest and largest leak of the main range, m² (the article's), and the smallest that is tried.
+pub const LEAK_RANGE_M2: (f64, f64) = (5e-8, 1e-5);
+const SMALLEST_LEAK_M2: f64 = 5e-9;
+/// Beyond the range's end, so that the trees do not end where estimates are still wanted.
+const OVERSHOOT: f64 = 1.3;
+/// Shares of observations without a leak and with one below the main range.
+const SHARE_HEALTHY: f64 = 0.06;
+const SHARE_SMALL: f64 = 0.18;
+
+/// Draws machines; leak areas are stratified, so that the range is evenly covered at any number.
+///
+/// `seed` and `purpose` pick the random stream; different purposes share no machine.
+pub fn draw(spec: &MachineSpec, spread: Spread, count: usize, seed: u64, purpose: u64) -> Vec<Observation> {
+    (0..count)
+        .map(|index| {
+            let stream = purpose.wrapping_mul(1 << 32) + index as u64;
+            let mut noise = Noise::new(seed, stream);
+            let mut varied = spec.clone();
+            for name in VARIED {
+                if let Some(value) = varied.plant.get_mut(name) {
+                    *value *= noise.factor(spread.parameters);
+                }
+            }
+            let load_factor = noise.factor(spread.load);
+            let rank = (index as f64 + noise.uniform(0.0, 1.0)) / count as f64;
+            // Neighbouring indices would be neighbouring leaks; a lane of eight then shares its fate.
+            Observation { spec: varied, load_factor, leak_area_m2: leak_at(rank), stream }
+        })
+        .collect()
+}
+
+/// Leak area at a rank of 0 … 1 of the distribution.
+fn leak_at(rank: f64) -> f64 {
+    let log_uniform = |share: f64, low: f64, high: f64| low * libm::pow(high / low, share);
+    if rank < SHARE_HEALTHY {
+        0.0
+    } else if rank < SHARE_HEALTHY + SHARE_SMALL {
+        log_uniform((rank - SHARE_HEALTHY) / SHARE_SMALL, SMALLEST_LEAK_M2, LEAK_RANGE_M2.0)
+    } else {
+        let share = (rank - SHARE_HEALTHY - SHARE_SMALL) / (1.0 - SHARE_HEALTHY - SHARE_SMALL);
+        log_uniform(share, LEAK_RANGE_M2.0, LEAK_RANGE_M2.1 * OVERSHOOT)
+    }
+}
+
+/// Ticks of the warm-up cycle that are recorded before the cycle of interest: the filter settles in them.
+fn lead_ticks(spec: &MachineSpec) -> u64 {
+    (0.1 * spec.cycle.period_s / spec.controller.period_s) as u64
+}
+
+/// Ticks of an observation's recording before the cycle of interest. The start varies by a bin, as it does in logs.
+pub(crate) fn lead(observation: &Observation) -> usize {
+    (lead_ticks(&observation.spec) + observation.stream % 50) as usize
+}
+
+/// Runs the machines over a warm-up cycle and one cycle more, and hands each one's noiseless command to `reduce`
+/// with its index. The recording ends late enough for the last stroke to be confirmed.
+pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[f64]) -> R + Sync) -> Vec<R> {
+    let jobs: Vec<Job> = observations
+        .iter()
+        .map(|observation| {
+            let period_ticks = (observation.spec.cycle.period_s / observation.spec.controller.period_s).round() as u64;
+            let lead = lead(observation) as u64;
+            let turn = Turn { load_factor: observation.load_factor, ..Turn::with_leak(observation.leak_area_m2) };
+            Job {
+                spec: observation.spec.clone(),
+                turns: vec![turn],
+                skip_ticks: period_ticks - lead,
+                record_ticks: lead + period_ticks + period_ticks / 10,
+            }
+        })
+        .collect();
+    batch::commands(&jobs, reduce)
+}
+
+/// Phases of a cycle file as the reader wants them.
+pub(crate) fn phases(cycle: &Cycle) -> Vec<Phase> {
+    let kind = |kind| match kind {
+        PhaseKindFile::Stroke => PhaseKind::Stroke,
+        PhaseKindFile::Hold => PhaseKind::Hold,
+    };
+    cycle.phases.iter().map(|phase| Phase { from_s: phase.from_s, to_s: phase.to_s, kind: kind(phase.kind) }).collect()
+}
+
+/// What reading needs that is not in the file's form.
+pub(crate) struct Reading<'m> {
+    pub(crate) cycle: &'m Cycle,
+    pub(crate) phases: &'m [Phase],
+    pub(crate) sample_rate_hz: f64,
+    pub(crate) projections: &'m [Projection<'m>],
+}
+
+impl<'m> Reading<'m> {
+    /// The definition; with a projection, if only an empty one, cycles are binned.
+    pub(crate) fn definition(&self) -> CycleDefinition<'m> {
+        let anchor = |which: usize| {
+            let anchor = &self.cycle.anchors[which];
+            Anchor {
+                template: &anchor.template,
+                end_s: anchor.end_s,
+                least_correlation: anchor.least_correlation,
+                least_deviation: anchor.least_deviation,
+            }
+        };
+        CycleDefinition {
+            sample_rate_hz: self.sample_rate_hz,
+            period_s: self.cycle.period_s,
+            bin_samples: self.cycle.bin_samples,
+            anchors: [anchor(0), anchor(1)],
+            demand_mark: self.cycle.demand_mark.as_ref().map(|mark| DemandMark {
+                level_m: mark.level_m,
+                at_s: mark.at_s,
+                rising: mark.rising,
+            }),
+            tolerance: self.cycle.tolerance,
+            phases: self.phases,
+            projections: self.projections,
+        }
+    }
+
+    /// The statistics of the one cycle in a recorded command, with measurement noise added; `None` where the
+    /// monitor's own segmentation does not find it.
+    pub(crate) fn read(&self, commands: &[f64], filter: Option<Kalman>, sigma: f64, noise: &mut Noise) -> Option<CycleStatistics> {
+        let definition = self.definition();
+        let reader = CycleReader { filter, definition, features: &[] };
+        let mut state = CycleState::new(vec![0.0f32; definition.ring_samples()]);
+        let mut found = None;
+        let mut keep = |outcome: Outcome<'_>| {
+            if let Outcome::Valid(cycle) = outcome {
+                found = Some(*cycle.statistics);
+            }
+        };
+        for (index, command) in commands.iter().enumerate() {
+            let time_ns = (index as f64 * 1e9 / self.sample_rate_hz).round() as i64;
+            let noisy = (command + noise.normal(sigma)).clamp(-1.0, 1.0);
+            reader.push(&mut state, &Sample::command(time_ns, noisy), &mut keep);
+        }
+        found
+    }
+}
+
+/// Names of the varied parameters, for reports.
+pub fn varied_parameters() -> impl Iterator<Item = &'static str> {
+    PlantParameters::ALL.iter().map(|info| info.key).filter(|key| VARIED.contains(key))
+}

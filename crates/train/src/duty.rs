@@ -1,0 +1,113 @@
+//! What the monitor must know of a duty cycle, derived from the machine's own plan.
+
+use seepd_features::segment::MAX_PHASES;
+use seepd_model::schema::{AnchorFile, Cycle, DemandMarkFile, PhaseFile, PhaseKindFile};
+use seepd_sim::cycle::Move;
+use seepd_sim::MachineSpec;
+
+use crate::train::TrainError;
+
+/// Bins of a cycle, about: 50 ms for the default duty cycle.
+const BINS: f64 = 200.0;
+/// Command that a template shows before and after its stroke, share of the period: the shoulders tell a stroke
+/// from the middle of a longer one.
+const SHOULDER_SHARE: f64 = 0.015;
+/// Shortest part of a cycle that becomes a phase, share of the period: load ramps are shorter.
+const SHORTEST_SHARE: f64 = 0.02;
+/// How far the distance between the strokes may be off plan, share of the period.
+const TOLERANCE: f64 = 0.06;
+
+/// The cycle without its templates, which only simulation can tell.
+pub(crate) fn cycle_of(spec: &MachineSpec) -> Result<Cycle, TrainError> {
+    let cycle = &spec.cycle;
+    let samples = cycle.period_s / spec.controller.period_s;
+    let [first, last] = anchoring_moves(spec)?;
+    let anchor = |index: usize| AnchorFile {
+        end_s: cycle.moves[index].to_s + SHOULDER_SHARE * cycle.period_s,
+        least_correlation: 0.0,
+        least_deviation: 0.0,
+        template: Vec::new(),
+    };
+    Ok(Cycle {
+        period_s: cycle.period_s,
+        bin_samples: (samples / BINS).round().max(1.0) as usize,
+        tolerance: TOLERANCE,
+        anchors: [anchor(first), anchor(last)],
+        demand_mark: Some(demand_mark(spec, &cycle.moves[first])),
+        phases: phases_of(spec),
+    })
+}
+
+/// Start and end of the windows that the two templates show, s.
+pub(crate) fn template_windows(spec: &MachineSpec) -> Result<[(f64, f64); 2], TrainError> {
+    let shoulder = SHOULDER_SHARE * spec.cycle.period_s;
+    let moves = &spec.cycle.moves;
+    Ok(anchoring_moves(spec)?.map(|index| ((moves[index].from_s - shoulder).max(0.0), moves[index].to_s + shoulder)))
+}
+
+/// The largest move out and the largest move back, in time order.
+fn anchoring_moves(spec: &MachineSpec) -> Result<[usize; 2], TrainError> {
+    let mut position = spec.cycle.start_position_m();
+    let lengths: Vec<f64> = spec
+        .cycle
+        .moves
+        .iter()
+        .map(|stroke| {
+            let length = stroke.to_m - position;
+            position = stroke.to_m;
+            length
+        })
+        .collect();
+    let largest = |sign: f64| {
+        (0..lengths.len()).filter(|i| sign * lengths[*i] > 0.0).max_by(|a, b| lengths[*a].abs().total_cmp(&lengths[*b].abs()))
+    };
+    match (largest(1.0), largest(-1.0)) {
+        (Some(out), Some(back)) => Ok([out.min(back), out.max(back)]),
+        _ => Err(TrainError::NoStroke),
+    }
+}
+
+fn demand_mark(spec: &MachineSpec, first: &Move) -> DemandMarkFile {
+    let before = spec.cycle.demand_m(first.from_s);
+    DemandMarkFile {
+        level_m: 0.5 * (before + first.to_m),
+        // A quintic passes half of its way at half of its time.
+        at_s: 0.5 * (first.from_s + first.to_s),
+        rising: first.to_m > before,
+    }
+}
+
+/// Strokes by their names, holds between them by number; a load step within a hold divides it.
+fn phases_of(spec: &MachineSpec) -> Vec<PhaseFile> {
+    let cycle = &spec.cycle;
+    let mut phases: Vec<PhaseFile> = Vec::new();
+    let mut holds = 0;
+    let mut hold = |from_s: f64, to_s: f64, phases: &mut Vec<PhaseFile>| {
+        let mut edges: Vec<f64> = vec![from_s];
+        edges.extend(cycle.load.iter().map(|corner| corner.at_s).filter(|at| *at > from_s && *at < to_s));
+        edges.push(to_s);
+        for edge in edges.windows(2).filter(|edge| edge[1] - edge[0] >= SHORTEST_SHARE * cycle.period_s) {
+            holds += 1;
+            phases.push(PhaseFile {
+                name: format!("hold_{holds}"),
+                from_s: edge[0],
+                to_s: edge[1],
+                kind: PhaseKindFile::Hold,
+            });
+        }
+    };
+    let mut time = 0.0;
+    for stroke in &cycle.moves {
+        hold(time, stroke.from_s, &mut phases);
+        phases.push(PhaseFile {
+            name: stroke.name.clone(),
+            from_s: stroke.from_s,
+            to_s: stroke.to_s,
+            kind: PhaseKindFile::Stroke,
+        });
+        time = stroke.to_s;
+    }
+    hold(time, cycle.period_s, &mut phases);
+    phases.truncate(MAX_PHASES);
+    phases
+}

@@ -1,0 +1,233 @@
+//! What a trained model is worth on machines that it has not seen.
+
+use rayon::prelude::*;
+use seepd_features::Kalman;
+use seepd_model::Model;
+use seepd_model::schema::Transform;
+use seepd_sim::noise::Noise;
+
+use crate::dataset::{self, LEAK_RANGE_M2, Observation, Reading};
+use crate::forest::{Forest, Growth, predict};
+use crate::train::{ARTICLE_NOISE, Case, Features, Settings, grow_like, noise_of};
+
+/// Standard deviations of the command's noise in the article's figures 8 and 9.
+pub const NOISE_LEVELS: [f64; 5] = [0.001, 0.003, 0.005, 0.007, 0.01];
+
+/// Accuracy at one noise level.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Accuracy {
+    /// Standard deviation of the command's noise.
+    pub noise: f64,
+    /// Machines measured, with a leak or without.
+    pub machines: usize,
+    /// Coefficient of determination on the area, over the main range.
+    pub r2_area: f64,
+    /// Coefficient of determination on ln(area + offset), over the main range.
+    pub r2_transformed: f64,
+    /// Mean absolute error, m², over the main range.
+    pub mean_absolute_error_m2: f64,
+    /// Median relative error by range of area.
+    pub decades: Vec<Decade>,
+    /// Largest estimate of a machine without a leak, m².
+    pub largest_healthy_m2: f64,
+    /// Share of machines in the main range whose truth lies within the 90 % interval.
+    pub coverage: f64,
+}
+
+/// A range of areas.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Decade {
+    /// Lower end, m².
+    pub from_m2: f64,
+    /// Upper end, m².
+    pub to_m2: f64,
+    /// Median of |estimate − truth| / truth.
+    pub median_relative_error: f64,
+    /// Share of machines whose truth lies within the 90 % interval.
+    pub coverage: f64,
+}
+
+/// The noise table's line: learned at the article's noise, tested at another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NoiseLine {
+    /// Standard deviation of the command's noise in the test.
+    pub noise: f64,
+    /// Mean absolute error, m², with the filter and without.
+    pub mean_absolute_error_m2: [f64; 2],
+    /// Largest RMS change of a feature against the article's noise, over its range over leaks; with the filter
+    /// and without.
+    pub largest_feature_change: [f64; 2],
+    /// The feature of that change.
+    pub feature: [String; 2],
+}
+
+/// Everything that was measured.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Report {
+    /// The model at the article's noise.
+    pub accuracy: Accuracy,
+    /// The model at every noise level.
+    pub by_noise: Vec<Accuracy>,
+    /// The article's experiment: learned at 0.001, tested at each level.
+    pub noise_table: Vec<NoiseLine>,
+}
+
+/// What is measured, and on what.
+pub(crate) struct Subject<'a> {
+    pub(crate) model: &'a Model,
+    pub(crate) features: &'a Features<'a>,
+    pub(crate) reading: &'a Reading<'a>,
+    pub(crate) observations: &'a [Observation],
+    pub(crate) learned: &'a [Case],
+    pub(crate) growth: Growth,
+    pub(crate) settings: &'a Settings,
+}
+
+/// Features of a machine at each noise level, with the filter and without; `None` where the cycle was not found.
+type Readings = [[Option<Vec<f64>>; NOISE_LEVELS.len()]; 2];
+
+pub(crate) fn measure(subject: &Subject<'_>) -> Report {
+    let readings: Vec<Readings> = dataset::simulate(subject.observations, |index, commands| {
+        let observation = &subject.observations[index];
+        [subject.settings.filter, None].map(|filter| read_at_each_noise(subject, observation, commands, filter))
+    });
+    let by_noise: Vec<Accuracy> = (0..NOISE_LEVELS.len()).map(|level| accuracy(subject, &readings, level)).collect();
+    Report { accuracy: by_noise[0].clone(), by_noise, noise_table: noise_table(subject, &readings) }
+}
+
+fn read_at_each_noise(
+    subject: &Subject<'_>,
+    observation: &Observation,
+    commands: &[f64],
+    filter: Option<Kalman>,
+) -> [Option<Vec<f64>>; NOISE_LEVELS.len()] {
+    NOISE_LEVELS.map(|sigma| {
+        // The same noise at every level, scaled.
+        let mut noise: Noise = noise_of(observation, subject.settings);
+        let statistics = subject.reading.read(commands, filter, sigma, &mut noise)?;
+        Some(subject.features.of(&statistics))
+    })
+}
+
+fn in_main_range(area_m2: f64) -> bool {
+    (LEAK_RANGE_M2.0..=LEAK_RANGE_M2.1).contains(&area_m2)
+}
+
+fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accuracy {
+    let estimates: Vec<(f64, seepd_model::Estimate)> = subject
+        .observations
+        .iter()
+        .zip(readings)
+        .filter_map(|(observation, reading)| {
+            Some((observation.leak_area_m2, subject.model.estimate(reading[0][level].as_ref()?)))
+        })
+        .collect();
+    let main: Vec<_> = estimates.iter().filter(|(truth, _)| in_main_range(*truth)).copied().collect();
+    let transform = subject.model.file().transform;
+    let pairs = |map: &dyn Fn(f64) -> f64| -> Vec<(f64, f64)> {
+        main.iter().map(|(truth, estimate)| (map(*truth), map(estimate.value))).collect()
+    };
+    let covered = |cases: &[&(f64, seepd_model::Estimate)]| {
+        let inside =
+            cases.iter().filter(|(truth, e)| (e.interval[0]..=e.interval[1]).contains(truth)).count();
+        inside as f64 / cases.len().max(1) as f64
+    };
+    let decades = [(5e-8, 1e-7), (1e-7, 1e-6), (1e-6, 1e-5)]
+        .map(|(from_m2, to_m2)| {
+            let cases: Vec<_> = main.iter().filter(|(truth, _)| (from_m2..to_m2).contains(truth)).collect();
+            let errors = cases.iter().map(|(truth, estimate)| (estimate.value - truth).abs() / truth).collect();
+            Decade { from_m2, to_m2, median_relative_error: median(errors), coverage: covered(&cases) }
+        })
+        .to_vec();
+    Accuracy {
+        noise: NOISE_LEVELS[level],
+        machines: estimates.len(),
+        r2_area: r_squared(&pairs(&|area| area)),
+        r2_transformed: r_squared(&pairs(&|area| transform.forward(area))),
+        mean_absolute_error_m2: mean_absolute_error(&pairs(&|area| area)),
+        decades,
+        largest_healthy_m2: estimates.iter().filter(|(truth, _)| *truth == 0.0).map(|(_, e)| e.value).fold(0.0, f64::max),
+        coverage: covered(&main.iter().collect::<Vec<_>>()),
+    }
+}
+
+fn noise_table(subject: &Subject<'_>, readings: &[Readings]) -> Vec<NoiseLine> {
+    let forests: Vec<Option<Forest>> = (0..2)
+        .map(|which| grow_like(subject.features, subject.learned, which, subject.growth, subject.settings.seed))
+        .collect();
+    NOISE_LEVELS
+        .iter()
+        .enumerate()
+        .map(|(level, noise)| {
+            let mut line = NoiseLine {
+                noise: *noise,
+                mean_absolute_error_m2: [0.0; 2],
+                largest_feature_change: [0.0; 2],
+                feature: [String::new(), String::new()],
+            };
+            for which in 0..2 {
+                line.mean_absolute_error_m2[which] = forests[which]
+                    .as_ref()
+                    .map_or(f64::NAN, |forest| forest_error(subject, readings, forest, which, level));
+                let (change, feature) = largest_feature_change(subject, readings, which, level);
+                line.largest_feature_change[which] = change;
+                line.feature[which] = feature;
+            }
+            line
+        })
+        .collect()
+}
+
+fn forest_error(subject: &Subject<'_>, readings: &[Readings], forest: &Forest, which: usize, level: usize) -> f64 {
+    let transform: Transform = subject.model.file().transform;
+    let pairs: Vec<(f64, f64)> = subject
+        .observations
+        .par_iter()
+        .zip(readings)
+        .filter(|(observation, _)| in_main_range(observation.leak_area_m2))
+        .filter_map(|(observation, reading)| {
+            let features = reading[which][level].as_ref()?;
+            let sum: f64 = forest.trees.iter().map(|tree| predict(tree, |feature| features[feature])).sum();
+            Some((observation.leak_area_m2, transform.back(sum / forest.trees.len() as f64).max(0.0)))
+        })
+        .collect();
+    mean_absolute_error(&pairs)
+}
+
+/// RMS change of each feature against the article's noise, over its range over all leaks; the largest.
+fn largest_feature_change(subject: &Subject<'_>, readings: &[Readings], which: usize, level: usize) -> (f64, String) {
+    debug_assert_eq!(NOISE_LEVELS[0], ARTICLE_NOISE);
+    let mut largest = (0.0, String::new());
+    for (index, name) in subject.features.names.iter().enumerate() {
+        let pairs: Vec<(f64, f64)> = readings
+            .iter()
+            .filter_map(|reading| Some((reading[which][0].as_ref()?[index], reading[which][level].as_ref()?[index])))
+            .collect();
+        let low = pairs.iter().map(|pair| pair.0).fold(f64::INFINITY, f64::min);
+        let high = pairs.iter().map(|pair| pair.0).fold(f64::NEG_INFINITY, f64::max);
+        let square = pairs.iter().map(|(a, b)| (a - b).powi(2)).sum::<f64>() / pairs.len() as f64;
+        let change = square.sqrt() / (high - low);
+        if change > largest.0 {
+            largest = (change, name.clone());
+        }
+    }
+    largest
+}
+
+/// Coefficient of determination of (truth, estimate) pairs.
+pub fn r_squared(pairs: &[(f64, f64)]) -> f64 {
+    let mean = pairs.iter().map(|pair| pair.0).sum::<f64>() / pairs.len() as f64;
+    let residual: f64 = pairs.iter().map(|(truth, estimate)| (truth - estimate).powi(2)).sum();
+    let total: f64 = pairs.iter().map(|(truth, _)| (truth - mean).powi(2)).sum();
+    1.0 - residual / total
+}
+
+fn mean_absolute_error(pairs: &[(f64, f64)]) -> f64 {
+    pairs.iter().map(|(truth, estimate)| (truth - estimate).abs()).sum::<f64>() / pairs.len() as f64
+}
+
+/// The middle value; not a number for none.
+pub fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}

@@ -1,0 +1,438 @@
+//! From a machine's file to a model.
+
+use rayon::prelude::*;
+use seepd_features::statistics::CycleStatistics;
+use seepd_features::{Feature, Kalman, Projection};
+use seepd_model::schema::{
+    Calibration, Cycle, Filter, Golden, ModelFile, Orifice, ProjectionFile, SCHEMA, Training, Transform,
+};
+use seepd_model::{Model, ModelError};
+use seepd_sim::noise::Noise;
+use seepd_sim::{MachineSpec, SpecError};
+use sha2::{Digest, Sha256};
+
+use crate::dataset::{self, Observation, Reading, Spread};
+use crate::duty;
+use crate::forest::{Forest, Growth, Table};
+use crate::pca;
+use crate::report::{self, Report};
+use crate::search::{self, Found};
+
+/// What training is asked for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// Seed of all random choices.
+    pub seed: u64,
+    /// Simulated machines to learn from.
+    pub observations: usize,
+    /// Simulated machines to measure on.
+    pub held_out: usize,
+    /// Trials of the hyperparameter search.
+    pub trials: usize,
+    /// How machines differ.
+    pub spread: Spread,
+    /// Smallest and largest standard deviation of the command's noise in training.
+    pub noise: (f64, f64),
+    /// Filter.
+    pub filter: Option<Kalman>,
+    /// Largest size of `model.json`, bytes.
+    pub most_bytes: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Settings {
+            seed: 1,
+            observations: 4096,
+            held_out: 1024,
+            trials: 24,
+            spread: Spread::default(),
+            noise: (0.001, 0.01),
+            filter: Some(Kalman::default()),
+            most_bytes: 1_000_000,
+        }
+    }
+}
+
+/// Why there is no model.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// The duty cycle has no move out and back.
+    #[error("the duty cycle has no move out and back, by which its cycles could be found; see [cycle] in the plant file")]
+    NoStroke,
+    /// The plant file cannot be written out, and so has no hash.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// Too few simulated cycles were recognised.
+    #[error(
+        "only {found} of {simulated} simulated cycles were recognised by the shape of their strokes: \
+         the plant does not follow its duty cycle over these leaks"
+    )]
+    Unrecognised {
+        /// Cycles recognised.
+        found: usize,
+        /// Cycles simulated.
+        simulated: usize,
+    },
+    /// The search failed.
+    #[error("hyperparameter search: {0}")]
+    Search(String),
+    /// The finished model does not pass its own checks.
+    #[error("the trained model fails its own checks: {0}")]
+    Model(ModelError),
+    /// The finished model cannot be written.
+    #[error("writing the model: {0}")]
+    Json(#[from] serde_json::Error),
+}
+
+/// Where training stands, for a progress bar.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Simulating machines.
+    Simulate,
+    /// Searching hyperparameters.
+    Search,
+    /// Measuring on machines not seen.
+    Measure,
+}
+
+/// A trained model.
+#[derive(Debug)]
+pub struct Trained {
+    /// Content of `model.json`.
+    pub json: Vec<u8>,
+    /// The model, checked.
+    pub model: Model,
+    /// What was measured.
+    pub report: Report,
+    /// What the search found.
+    pub found: Found,
+}
+
+/// Random streams that share no machine.
+mod purpose {
+    pub(super) const TEMPLATE: u64 = 1;
+    pub(super) const LEARN: u64 = 2;
+    pub(super) const HELD_OUT: u64 = 3;
+}
+
+/// Machines from which templates are made.
+const TEMPLATE_MACHINES: usize = 64;
+/// Principal components that become features.
+const COMPONENTS: usize = 3;
+/// Bytes of a node in the file, at most: its feature, value and right child with their commas.
+const NODE_BYTES: usize = 20;
+/// Offset of the logarithm, m²: admits a leak of 0 and lets errors below it count absolutely.
+const LN_OFFSET_M2: f64 = 2e-8;
+/// Golden pairs in the file.
+const GOLDEN: usize = 12;
+
+/// Trains a model for a machine; the same seed on the same platform gives the same bytes. `tell` hears of the
+/// progress: stage, steps done, steps in all.
+///
+/// # Errors
+/// [`TrainError`].
+pub fn train(
+    spec: &MachineSpec,
+    settings: &Settings,
+    tell: &mut dyn FnMut(Stage, usize, usize),
+) -> Result<Trained, TrainError> {
+    let cycle = with_templates(spec, settings)?;
+    let phases = dataset::phases(&cycle);
+    let sample_rate_hz = 1.0 / spec.controller.period_s;
+    let binned = [Projection { mean: &[], loading: &[] }];
+    let reading = Reading { cycle: &cycle, phases: &phases, sample_rate_hz, projections: &binned };
+
+    let learned = learn_set(spec, settings, &reading, tell)?;
+    let rows: Vec<Vec<f32>> = learned.iter().map(|case| case.mixed.bins().to_vec()).collect();
+    let projections = pca::components(&rows, COMPONENTS);
+    let names = feature_names(&cycle, &projections);
+    let features = Features::new(&names, &reading, &projections);
+
+    let transform = Transform::LnOffset(LN_OFFSET_M2);
+    let target: Vec<f64> = learned.iter().map(|case| transform.forward(case.leak_area_m2)).collect();
+    let table = features.table(learned.iter().map(|case| &case.mixed), &target);
+    let found = search::search(&table, settings.most_bytes / NODE_BYTES, settings.trials, settings.seed, &mut |done, all| {
+        tell(Stage::Search, done, all);
+    })?;
+    let forest = Forest::grow(&table, found.growth, settings.seed);
+    let calibration = calibrate(&forest, &table.target);
+
+    let mut file = ModelFile {
+        schema: SCHEMA.into(),
+        created_by: concat!("seepd ", env!("CARGO_PKG_VERSION")).into(),
+        sample_rate_hz,
+        filter: settings.filter.map(Filter::Kalman),
+        cycle: cycle.clone(),
+        projections: projections.clone(),
+        features: names.clone(),
+        target: "leak_area".into(),
+        unit: "m2".into(),
+        transform,
+        trees: forest.trees,
+        calibration,
+        orifice: Orifice {
+            discharge_coefficient: spec.plant.discharge_coefficient,
+            density_kg_per_m3: spec.plant.density_kg_per_m3,
+        },
+        plant_sha256: plant_sha256(spec)?,
+        golden: Vec::new(),
+        training: None,
+    };
+    let model = Model::from_file(file.clone()).map_err(TrainError::Model)?;
+    file.golden = golden(&model, &table);
+
+    tell(Stage::Measure, 0, 1);
+    let observations = dataset::draw(spec, settings.spread, settings.held_out, settings.seed, purpose::HELD_OUT);
+    let report = report::measure(&report::Subject {
+        model: &model,
+        features: &features,
+        reading: &reading,
+        observations: &observations,
+        learned: &learned,
+        growth: found.growth,
+        settings,
+    });
+    tell(Stage::Measure, 1, 1);
+    file.training = Some(Training {
+        seed: settings.seed,
+        observations: learned.len(),
+        r2: report.accuracy.r2_area,
+        r2_transformed: report.accuracy.r2_transformed,
+        median_relative_error: report
+            .accuracy
+            .decades
+            .iter()
+            .map(|decade| (decade.from_m2, decade.to_m2, decade.median_relative_error))
+            .collect(),
+    });
+    let mut json = serde_json::to_vec(&file)?;
+    json.push(b'\n');
+    let model = Model::from_json(&json).map_err(TrainError::Model)?;
+    Ok(Trained { json, model, report, found })
+}
+
+/// Hash by which a model names the plant file that it was trained on: SHA-256 of the file with every value
+/// written out.
+///
+/// # Errors
+/// [`TrainError::Spec`] where the machine cannot be written out.
+pub fn plant_sha256(spec: &MachineSpec) -> Result<String, TrainError> {
+    let digest = Sha256::digest(spec.to_toml()?.as_bytes());
+    Ok(digest.iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// A simulated machine's cycle as it was read.
+pub(crate) struct Case {
+    pub(crate) leak_area_m2: f64,
+    /// With a noise drawn from the training's range, filtered.
+    pub(crate) mixed: CycleStatistics,
+    /// With the article's noise, filtered and unfiltered: what the noise table's models learn from.
+    pub(crate) quiet: [Option<CycleStatistics>; 2],
+}
+
+/// The article's measurement noise.
+pub(crate) const ARTICLE_NOISE: f64 = 0.001;
+
+fn learn_set(
+    spec: &MachineSpec,
+    settings: &Settings,
+    reading: &Reading<'_>,
+    tell: &mut dyn FnMut(Stage, usize, usize),
+) -> Result<Vec<Case>, TrainError> {
+    let observations = dataset::draw(spec, settings.spread, settings.observations, settings.seed, purpose::LEARN);
+    let mut cases = Vec::with_capacity(observations.len());
+    // In portions, for the progress bar.
+    for portion in observations.chunks(256) {
+        let read = dataset::simulate(portion, |index, commands| {
+            let observation = &portion[index];
+            let mut noise = noise_of(observation, settings);
+            let sigma = log_uniform(&mut noise, settings.noise);
+            let mixed = reading.read(commands, settings.filter, sigma, &mut noise)?;
+            let quiet = [settings.filter, None].map(|filter| reading.read(commands, filter, ARTICLE_NOISE, &mut noise));
+            Some(Case { leak_area_m2: observation.leak_area_m2, mixed, quiet })
+        });
+        cases.extend(read.into_iter().flatten());
+        tell(Stage::Simulate, cases.len(), observations.len());
+    }
+    if cases.len() * 100 < observations.len() * 99 {
+        return Err(TrainError::Unrecognised { found: cases.len(), simulated: observations.len() });
+    }
+    Ok(cases)
+}
+
+/// The random stream of an observation's measurement noise, apart from the one of its parameters.
+pub(crate) fn noise_of(observation: &Observation, settings: &Settings) -> Noise {
+    Noise::new(settings.seed ^ 0x6e6f_6973_65, observation.stream)
+}
+
+fn log_uniform(noise: &mut Noise, (low, high): (f64, f64)) -> f64 {
+    low * libm::pow(high / low, noise.uniform(0.0, 1.0))
+}
+
+/// Fills the two anchors' templates from simulated machines.
+fn with_templates(spec: &MachineSpec, settings: &Settings) -> Result<Cycle, TrainError> {
+    let mut cycle = duty::cycle_of(spec)?;
+    let windows = duty::template_windows(spec)?;
+    let rate = 1.0 / spec.controller.period_s;
+    let observations = dataset::draw(spec, settings.spread, TEMPLATE_MACHINES, settings.seed, purpose::TEMPLATE);
+    let bin_samples = cycle.bin_samples;
+    let shapes: Vec<[Vec<f64>; 2]> = dataset::simulate(&observations, |index, commands| {
+        let mut noise = noise_of(&observations[index], settings);
+        let filter = settings.filter;
+        let mut state = seepd_features::KalmanState::default();
+        let filtered: Vec<f64> = commands
+            .iter()
+            .map(|command| {
+                let noisy = command + noise.normal(ARTICLE_NOISE);
+                filter.map_or(noisy, |kalman| kalman.step(&mut state, noisy))
+            })
+            .collect();
+        let lead = dataset::lead(&observations[index]);
+        windows.map(|(from_s, to_s)| {
+            let from = lead + (from_s * rate).round() as usize;
+            let to = lead + (to_s * rate).round() as usize;
+            filtered[from..to].chunks_exact(bin_samples).map(|bin| bin.iter().sum::<f64>() / bin.len() as f64).collect()
+        })
+    });
+    for which in 0..2 {
+        let anchor = &mut cycle.anchors[which];
+        let centred: Vec<Vec<f64>> = shapes.iter().map(|shape| normalised(&shape[which])).collect();
+        let mean: Vec<f64> = (0..centred[0].len()).map(|bin| centred.iter().map(|shape| shape[bin]).sum()).collect();
+        let template = normalised(&mean);
+        let least = centred
+            .iter()
+            .map(|shape| shape.iter().zip(&template).map(|(a, b)| a * b).sum::<f64>())
+            .fold(f64::INFINITY, f64::min);
+        let deviation = shapes.iter().map(|shape| deviation(&shape[which])).fold(f64::INFINITY, f64::min);
+        // Room for what the simulator does not know; other parts of the cycle are told apart by their order.
+        anchor.least_correlation = round_to(0.9 * least, 3).clamp(0.3, 0.9);
+        anchor.least_deviation = round_to(0.3 * deviation, 4);
+        anchor.template = template.iter().map(|value| *value as f32).collect();
+        // Whole bins only: the template may end before its window does.
+        let bins = template.len() as f64 * bin_samples as f64;
+        anchor.end_s = round_to(windows[which].0 + bins / rate, 6);
+    }
+    Ok(cycle)
+}
+
+fn round_to(value: f64, digits: i32) -> f64 {
+    let scale = 10f64.powi(digits);
+    (value * scale).round() / scale
+}
+
+fn deviation(values: &[f64]) -> f64 {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+/// Mean 0, sum of squares 1.
+fn normalised(values: &[f64]) -> Vec<f64> {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let norm = deviation(values) * (values.len() as f64).sqrt();
+    values.iter().map(|value| (value - mean) / norm.max(1e-12)).collect()
+}
+
+/// Every feature that a cycle of these phases has.
+fn feature_names(cycle: &Cycle, projections: &[ProjectionFile]) -> Vec<String> {
+    let mut names: Vec<String> = Feature::names().map(str::to_owned).collect();
+    names.extend(projections.iter().map(|projection| projection.name.clone()));
+    for phase in &cycle.phases {
+        names.push(format!("mean.{}", phase.name));
+        names.push(format!("relative.{}", phase.name));
+    }
+    names
+}
+
+/// Reads features by name off cycles' statistics.
+pub(crate) struct Features<'a> {
+    pub(crate) names: Vec<String>,
+    kinds: Vec<Feature>,
+    reading: &'a Reading<'a>,
+    views: Vec<Projection<'a>>,
+}
+
+impl<'a> Features<'a> {
+    fn new(names: &[String], reading: &'a Reading<'a>, projections: &'a [ProjectionFile]) -> Self {
+        let phase_names = reading.cycle.phases.iter().map(|phase| phase.name.as_str());
+        let kinds = names
+            .iter()
+            .filter_map(|name| {
+                Feature::from_name(name, phase_names.clone(), projections.iter().map(|p| p.name.as_str()))
+            })
+            .collect();
+        let views = projections.iter().map(|p| Projection { mean: &p.mean, loading: &p.loading }).collect();
+        Features { names: names.to_vec(), kinds, reading, views }
+    }
+
+    pub(crate) fn of(&self, statistics: &CycleStatistics) -> Vec<f64> {
+        let definition =
+            seepd_features::CycleDefinition { projections: &self.views, ..self.reading.definition() };
+        self.kinds.iter().map(|kind| kind.of(&definition, statistics)).collect()
+    }
+
+    pub(crate) fn table<'s>(&self, cases: impl Iterator<Item = &'s CycleStatistics>, target: &[f64]) -> Table {
+        let statistics: Vec<&CycleStatistics> = cases.collect();
+        let rows: Vec<Vec<f64>> = statistics.par_iter().map(|case| self.of(case)).collect();
+        let columns = (0..self.names.len()).map(|j| rows.iter().map(|row| row[j]).collect()).collect();
+        Table { columns, target: target.to_vec() }
+    }
+}
+
+/// Floor of the trees' spread: below it, agreement of the trees is luck.
+const SPREAD_FLOOR: f64 = 0.005;
+/// Level of the interval.
+const LEVEL: f64 = 0.9;
+/// Ranges of the prediction that are calibrated by themselves.
+const CALIBRATED_RANGES: usize = 12;
+
+/// Factors on the spread such that the interval holds the truth of `LEVEL` of the out-of-bag predictions, by
+/// range of the prediction (normalised conformal prediction: Johansson et al., "Regression conformal prediction
+/// with random forests", Machine Learning 97 (2014)).
+fn calibrate(forest: &Forest, target: &[f64]) -> Calibration {
+    let mut scores: Vec<(f64, f64)> = forest
+        .out_of_bag
+        .iter()
+        .zip(target)
+        .filter_map(|(vote, truth)| vote.map(|(mean, spread)| (mean, (truth - mean).abs() / (spread + SPREAD_FLOOR))))
+        .collect();
+    scores.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let size = scores.len().div_ceil(CALIBRATED_RANGES).max(1);
+    let mut factors: Vec<(f64, f64)> = Vec::new();
+    for range in scores.chunks(size) {
+        let centre = range[range.len() / 2].0;
+        let mut errors: Vec<f64> = range.iter().map(|(_, score)| *score).collect();
+        errors.sort_by(f64::total_cmp);
+        let rank = ((errors.len() + 1) as f64 * LEVEL).ceil() as usize;
+        let factor = errors[rank.clamp(1, errors.len()) - 1];
+        if factors.last().is_none_or(|last| centre > last.0 + 1e-6) {
+            factors.push((round_to(centre, 5), round_to(factor, 5)));
+        }
+    }
+    Calibration { level: LEVEL, spread_floor: SPREAD_FLOOR, factors }
+}
+
+/// Pairs spread over the range of the target.
+fn golden(model: &Model, table: &Table) -> Vec<Golden> {
+    let step = (table.len() / GOLDEN).max(1);
+    (0..table.len())
+        .step_by(step)
+        .take(GOLDEN)
+        .map(|index| {
+            let features = table.row(index);
+            let estimate = model.estimate(&features);
+            Golden { features, estimate: estimate.value, interval: estimate.interval }
+        })
+        .collect()
+}
+
+/// A forest for the noise table: grown as the model's own, on other readings of the same machines.
+pub(crate) fn grow_like(features: &Features<'_>, learned: &[Case], which: usize, growth: Growth, seed: u64) -> Option<Forest> {
+    let transform = Transform::LnOffset(LN_OFFSET_M2);
+    let cases: Vec<(&CycleStatistics, f64)> = learned
+        .iter()
+        .filter_map(|case| case.quiet[which].as_ref().map(|quiet| (quiet, transform.forward(case.leak_area_m2))))
+        .collect();
+    let target: Vec<f64> = cases.iter().map(|case| case.1).collect();
+    (!cases.is_empty()).then(|| Forest::grow(&features.table(cases.iter().map(|case| case.0), &target), growth, seed))
+}
