@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use serde::de::DeserializeOwned;
+use seepd_settings::{FormatError, parse_toml, unknown_key};
 use serde::{Deserialize, Serialize};
 
 use crate::controller::Controller;
@@ -69,49 +69,6 @@ pub enum SpecError {
 
 fn at_line(line: Option<usize>) -> String {
     line.map_or(String::new(), |line| format!("line {line}: "))
-}
-
-/// Why a TOML file cannot be read into its structure.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("line {line}: {message}")]
-pub struct FormatError {
-    /// Line, from 1.
-    pub line: usize,
-    /// What is wrong, with the nearest known key where a key is unknown.
-    pub message: String,
-}
-
-/// Reads a TOML text; an unknown key is answered with the nearest known one.
-///
-/// # Errors
-/// [`FormatError`] with the line.
-pub fn parse_toml<T: DeserializeOwned>(text: &str) -> Result<T, FormatError> {
-    toml::from_str(text).map_err(|error| {
-        let at = error.span().map_or(0, |span| span.start.min(text.len()));
-        let line = 1 + text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
-        FormatError { line, message: with_nearest_key(error.message()) }
-    })
-}
-
-/// Shortens serde's "unknown field `a`, expected one of `b`, `c`, …" to the nearest name.
-fn with_nearest_key(message: &str) -> String {
-    let Some((unknown, rest)) = message.strip_prefix("unknown field `").and_then(|rest| rest.split_once('`')) else {
-        return message.lines().next().unwrap_or_default().to_owned();
-    };
-    let known: Vec<&str> = rest.split('`').skip(1).step_by(2).collect();
-    unknown_key(unknown, &known)
-}
-
-/// "unknown key `a`; did you mean `b`?", or the list where nothing is near.
-pub fn unknown_key(unknown: &str, known: &[&str]) -> String {
-    let near = known
-        .iter()
-        .map(|name| (strsim::jaro_winkler(&unknown.to_lowercase(), &name.to_lowercase()), name))
-        .max_by(|a, b| a.0.total_cmp(&b.0));
-    match near {
-        Some((likeness, name)) if likeness > 0.7 => format!("unknown key `{unknown}`; did you mean `{name}`?"),
-        _ => format!("unknown key `{unknown}`; known are {}", known.join(", ")),
-    }
 }
 
 /// First line that assigns the key's last part or opens its table.

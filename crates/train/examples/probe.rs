@@ -9,6 +9,7 @@ fn main() {
     eprintln!("{:?} {} bytes, {} nodes {:?}", trained.found, trained.json.len(), trained.model.ensemble().nodes(), start.elapsed());
     for a in &trained.report.by_noise { eprintln!("{a:#?}"); if a.noise == 0.001 {continue} }
     for a in &trained.report.noise_table { eprintln!("{a:?}"); }
+    eprintln!("{:?}", trained.model.feature_names());
     let c = &trained.model.file().cycle;
     for a in &c.anchors { eprintln!("{} {} {}", a.end_s, a.least_correlation, a.least_deviation); }
     std::fs::write("/tmp/model.json", &trained.json).unwrap();

@@ -203,15 +203,20 @@ fn largest_feature_change(subject: &Subject<'_>, readings: &[Readings], which: u
             .iter()
             .filter_map(|reading| Some((reading[which][0].as_ref()?[index], reading[which][level].as_ref()?[index])))
             .collect();
-        let low = pairs.iter().map(|pair| pair.0).fold(f64::INFINITY, f64::min);
-        let high = pairs.iter().map(|pair| pair.0).fold(f64::NEG_INFINITY, f64::max);
-        let square = pairs.iter().map(|(a, b)| (a - b).powi(2)).sum::<f64>() / pairs.len() as f64;
-        let change = square.sqrt() / (high - low);
+        let change = relative_change(&pairs);
         if change > largest.0 {
             largest = (change, name.clone());
         }
     }
     largest
+}
+
+/// RMS difference of the pairs over the range of their first members.
+pub(crate) fn relative_change(pairs: &[(f64, f64)]) -> f64 {
+    let low = pairs.iter().map(|pair| pair.0).fold(f64::INFINITY, f64::min);
+    let high = pairs.iter().map(|pair| pair.0).fold(f64::NEG_INFINITY, f64::max);
+    let square = pairs.iter().map(|(a, b)| (a - b).powi(2)).sum::<f64>() / pairs.len().max(1) as f64;
+    square.sqrt() / (high - low)
 }
 
 /// Coefficient of determination of (truth, estimate) pairs.

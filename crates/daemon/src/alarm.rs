@@ -1,0 +1,289 @@
+//! The alarm state machine: from estimates, cycle by cycle, to a flag.
+//!
+//! Several cycles in a row must agree before a flag rises, more before it falls, and it falls only below a
+//! share of its threshold. No estimate is a state of its own, never silence and never zero.
+
+use serde::{Deserialize, Serialize};
+
+use crate::event::{Evidence, Flag};
+
+/// Thresholds and patience: the `[alarm]` table of `seepd.toml`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AlarmConfig {
+    /// Flow from which a leak is watched, L/min at the reference pressure difference.
+    pub watch_lpm: f64,
+    /// Flow from which it is a leak, L/min; the article's limit of control.
+    pub leak_lpm: f64,
+    /// Flow from which it is severe, L/min.
+    pub severe_lpm: f64,
+    /// A flag falls below this share of its threshold.
+    pub clear_share: f64,
+    /// Cycles in a row at or above a threshold that raise a flag.
+    pub raise_cycles: u32,
+    /// Cycles in a row below a threshold's share that clear a flag.
+    pub clear_cycles: u32,
+    /// Rejected cycles in a row after which there is no estimate.
+    pub lost_cycles: u32,
+}
+
+impl Default for AlarmConfig {
+    fn default() -> Self {
+        AlarmConfig {
+            watch_lpm: 0.3,
+            leak_lpm: 0.6,
+            severe_lpm: 3.0,
+            clear_share: 0.8,
+            raise_cycles: 3,
+            clear_cycles: 5,
+            lost_cycles: 3,
+        }
+    }
+}
+
+impl AlarmConfig {
+    /// Checks the values.
+    ///
+    /// # Errors
+    /// One line that names the key.
+    pub fn check(&self) -> Result<(), String> {
+        let ascending = 0.0 < self.watch_lpm && self.watch_lpm < self.leak_lpm && self.leak_lpm < self.severe_lpm;
+        if !ascending || !self.severe_lpm.is_finite() {
+            return Err("alarm: watch_lpm, leak_lpm and severe_lpm must be positive and ascend".into());
+        }
+        if !(self.clear_share > 0.0 && self.clear_share <= 1.0) {
+            return Err(format!("alarm.clear_share is {}; it must lie in 0 … 1", self.clear_share));
+        }
+        for (key, value) in
+            [("raise_cycles", self.raise_cycles), ("clear_cycles", self.clear_cycles), ("lost_cycles", self.lost_cycles)]
+        {
+            if !(1..=100).contains(&value) {
+                return Err(format!("alarm.{key} is {value}; it must lie in 1 … 100"));
+            }
+        }
+        Ok(())
+    }
+
+    fn threshold_lpm(&self, flag: Flag) -> f64 {
+        match flag {
+            Flag::NoEstimate | Flag::Healthy => 0.0,
+            Flag::Watch => self.watch_lpm,
+            Flag::Leak => self.leak_lpm,
+            Flag::Severe => self.severe_lpm,
+        }
+    }
+}
+
+const RISING: [Flag; 3] = [Flag::Watch, Flag::Leak, Flag::Severe];
+
+/// Cycles in a row that satisfy a condition, with the range of their flows.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+struct Run {
+    cycles: u32,
+    lowest_lpm: f64,
+    highest_lpm: f64,
+}
+
+impl Run {
+    fn note(&mut self, agrees: bool, flow_lpm: f64) {
+        if !agrees {
+            *self = Run::default();
+        } else if self.cycles == 0 {
+            *self = Run { cycles: 1, lowest_lpm: flow_lpm, highest_lpm: flow_lpm };
+        } else {
+            self.cycles += 1;
+            self.lowest_lpm = self.lowest_lpm.min(flow_lpm);
+            self.highest_lpm = self.highest_lpm.max(flow_lpm);
+        }
+    }
+
+    fn evidence(&self, threshold_lpm: f64) -> Evidence {
+        Evidence {
+            cycles: self.cycles,
+            lowest_lpm: Some(self.lowest_lpm),
+            highest_lpm: Some(self.highest_lpm),
+            threshold_lpm: Some(threshold_lpm),
+            reason: None,
+        }
+    }
+}
+
+/// A change of flag.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Change {
+    /// Before.
+    pub from: Flag,
+    /// Now.
+    pub to: Flag,
+    /// On what grounds.
+    pub evidence: Evidence,
+}
+
+/// The alarm's state.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Alarm {
+    /// The leak's level, kept while there is no estimate.
+    level: Flag,
+    reason: Option<&'static str>,
+    highest: Flag,
+    /// Cycles in a row at or above the threshold of watch, leak, severe.
+    above: [Run; 3],
+    /// Cycles in a row below the share of that threshold.
+    below: [Run; 3],
+    rejected: u32,
+}
+
+impl Default for Alarm {
+    /// Nothing known yet.
+    fn default() -> Self {
+        Alarm {
+            level: Flag::Healthy,
+            reason: Some("no_cycle_yet"),
+            highest: Flag::NoEstimate,
+            above: [Run::default(); 3],
+            below: [Run::default(); 3],
+            rejected: 0,
+        }
+    }
+}
+
+impl Alarm {
+    /// The flag now.
+    pub fn flag(&self) -> Flag {
+        if self.reason.is_some() { Flag::NoEstimate } else { self.level }
+    }
+
+    /// Why there is no estimate.
+    pub fn reason(&self) -> Option<&'static str> {
+        self.reason
+    }
+
+    /// The highest flag so far.
+    pub fn highest(&self) -> Flag {
+        self.highest
+    }
+
+    /// A cycle's estimate, as a flow at the reference pressure difference, L/min.
+    pub fn estimated(&mut self, config: &AlarmConfig, flow_lpm: f64) -> Option<Change> {
+        let from = self.flag();
+        let regained = self.reason.take().is_some();
+        self.rejected = 0;
+        for (index, flag) in RISING.into_iter().enumerate() {
+            let threshold = config.threshold_lpm(flag);
+            self.above[index].note(flow_lpm >= threshold, flow_lpm);
+            self.below[index].note(flow_lpm < config.clear_share * threshold, flow_lpm);
+        }
+        let evidence = self.raised(config).or_else(|| self.cleared(config));
+        self.highest = self.highest.max(self.level);
+        let evidence = match evidence {
+            Some(evidence) => evidence,
+            None if regained => {
+                Evidence { cycles: 1, lowest_lpm: Some(flow_lpm), highest_lpm: Some(flow_lpm), threshold_lpm: None, reason: None }
+            }
+            None => return None,
+        };
+        Some(Change { from, to: self.level, evidence })
+    }
+
+    fn raised(&mut self, config: &AlarmConfig) -> Option<Evidence> {
+        let (index, flag) = RISING
+            .into_iter()
+            .enumerate()
+            .rev()
+            .find(|(index, flag)| *flag > self.level && self.above[*index].cycles >= config.raise_cycles)?;
+        self.level = flag;
+        Some(self.above[index].evidence(config.threshold_lpm(flag)))
+    }
+
+    fn cleared(&mut self, config: &AlarmConfig) -> Option<Evidence> {
+        // Down to the lowest level whose next one has been clear for long enough.
+        let (index, flag) = RISING
+            .into_iter()
+            .enumerate()
+            .find(|(index, flag)| *flag <= self.level && self.below[*index].cycles >= config.clear_cycles)?;
+        self.level = if index == 0 { Flag::Healthy } else { RISING[index - 1] };
+        Some(self.below[index].evidence(config.threshold_lpm(flag)))
+    }
+
+    /// A cycle that could not be used.
+    pub fn rejected(&mut self, config: &AlarmConfig, reason: &'static str) -> Option<Change> {
+        self.rejected += 1;
+        if self.rejected < config.lost_cycles {
+            return None;
+        }
+        self.lost(reason)
+    }
+
+    /// The input gives no estimates any more.
+    pub fn lost(&mut self, reason: &'static str) -> Option<Change> {
+        let from = self.flag();
+        self.reason = Some(reason);
+        // Cycles before and after a loss do not make a row.
+        self.above = [Run::default(); 3];
+        self.below = [Run::default(); 3];
+        let evidence = Evidence {
+            cycles: self.rejected,
+            lowest_lpm: None,
+            highest_lpm: None,
+            threshold_lpm: None,
+            reason: Some(reason),
+        };
+        (from != Flag::NoEstimate).then_some(Change { from, to: Flag::NoEstimate, evidence })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(flows: &[f64]) -> (Alarm, Vec<(usize, Flag, Flag)>) {
+        let config = AlarmConfig::default();
+        let mut alarm = Alarm::default();
+        let changes = flows
+            .iter()
+            .enumerate()
+            .filter_map(|(index, flow)| alarm.estimated(&config, *flow).map(|change| (index, change.from, change.to)))
+            .collect();
+        (alarm, changes)
+    }
+
+    #[test]
+    fn first_estimate_ends_the_ignorance() {
+        assert_eq!(Alarm::default().flag(), Flag::NoEstimate);
+        assert_eq!(run(&[0.05]).1, [(0, Flag::NoEstimate, Flag::Healthy)]);
+    }
+
+    #[test]
+    fn two_outliers_raise_nothing_and_a_third_does() {
+        let (_, changes) = run(&[0.1, 5.0, 5.0, 0.1, 0.7, 0.7, 0.7]);
+        assert_eq!(changes[1..], [(6, Flag::Healthy, Flag::Leak)]);
+    }
+
+    #[test]
+    fn flow_between_share_and_threshold_neither_raises_nor_clears() {
+        let raised = [0.4, 0.4, 0.4];
+        let hovering = [0.29, 0.25, 0.31, 0.27, 0.26, 0.29, 0.25];
+        let (alarm, changes) = run(&[&raised[..], &hovering[..]].concat());
+        assert_eq!(alarm.flag(), Flag::Watch);
+        assert_eq!(changes.len(), 2);
+    }
+
+    #[test]
+    fn five_low_cycles_clear_to_the_level_that_fits() {
+        let (alarm, changes) = run(&[4.0, 4.0, 4.0, 0.4, 0.4, 0.4, 0.4, 0.4]);
+        assert_eq!(changes.last(), Some(&(7, Flag::Severe, Flag::Watch)));
+        assert_eq!(alarm.highest(), Flag::Severe);
+    }
+
+    #[test]
+    fn loss_keeps_the_level_and_tells_the_reason() {
+        let config = AlarmConfig::default();
+        let (mut alarm, _) = run(&[0.7, 0.7, 0.7]);
+        assert_eq!(alarm.rejected(&config, "gap"), None);
+        assert_eq!(alarm.rejected(&config, "gap"), None);
+        let change = alarm.rejected(&config, "gap").unwrap();
+        assert_eq!((change.from, change.to, change.evidence.reason), (Flag::Leak, Flag::NoEstimate, Some("gap")));
+        let change = alarm.estimated(&config, 0.7).unwrap();
+        assert_eq!((change.from, change.to), (Flag::NoEstimate, Flag::Leak));
+    }
+}

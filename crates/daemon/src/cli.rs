@@ -1,0 +1,87 @@
+//! The command line.
+
+use std::io::{IsTerminal, Write};
+use std::process::ExitCode;
+
+use clap::error::ErrorKind;
+use clap::{Parser, Subcommand};
+
+use crate::commands;
+use crate::failure::{Code, Failure};
+
+/// Detects and sizes the oil leak past a hydraulic cylinder's piston seal from the PID valve command alone.
+#[derive(Debug, Parser)]
+#[command(name = "seepd", version, about, propagate_version = true, max_term_width = 100)]
+#[command(after_help = "Exit codes: 0 good, 1 a finding (with --fail-on-fault), 64 usage, 65 unreadable data, \
+                        66 no input, 70 internal, 74 input/output, 78 configuration.\n\n\
+                        Example: seepd replay press-1.mcap")]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Simulate a press whose seal wears, replay its log, and leave the log and a page with plots
+    #[cfg(feature = "simulate")]
+    Demo(commands::demo::DemoArguments),
+    /// Write the log of a simulated machine (MCAP)
+    #[cfg(feature = "simulate")]
+    Simulate(commands::simulate::SimulateArguments),
+    /// Train a model on a simulated machine
+    #[cfg(feature = "train")]
+    Train(commands::train::TrainArguments),
+    /// Read logs (MCAP or CSV): leak by cycle, flags, summary
+    Replay(commands::replay::ReplayArguments),
+}
+
+/// Runs the program: the only place that reads the arguments and writes the last error.
+pub fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return tell_usage(&error),
+    };
+    let result = match &arguments.command {
+        #[cfg(feature = "simulate")]
+        Command::Demo(arguments) => commands::demo::run(arguments),
+        #[cfg(feature = "simulate")]
+        Command::Simulate(arguments) => commands::simulate::run(arguments),
+        #[cfg(feature = "train")]
+        Command::Train(arguments) => commands::train::run(arguments),
+        Command::Replay(arguments) => commands::replay::run(arguments),
+    };
+    match result {
+        Ok(Outcome::Good) => ExitCode::SUCCESS,
+        Ok(Outcome::Finding) => ExitCode::from(Code::Finding as u8),
+        Err(failure) => tell(&failure),
+    }
+}
+
+/// How a command ended well.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// Nothing to report.
+    Good,
+    /// A fault was found, and `--fail-on-fault` asked for it.
+    Finding,
+}
+
+fn tell(failure: &Failure) -> ExitCode {
+    // Nobody listens any more where even this cannot be written.
+    let _ = writeln!(std::io::stderr(), "seepd: {}", failure.message);
+    ExitCode::from(failure.code as u8)
+}
+
+/// clap's own texts; asking for help is no error, and a wrong argument is usage.
+fn tell_usage(error: &clap::Error) -> ExitCode {
+    let _ = error.print();
+    match error.kind() {
+        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => ExitCode::SUCCESS,
+        _ => ExitCode::from(Code::Usage as u8),
+    }
+}
+
+/// Whether progress and colours make sense on standard error.
+pub(crate) fn is_interactive() -> bool {
+    std::io::stderr().is_terminal()
+}

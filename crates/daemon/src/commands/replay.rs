@@ -1,0 +1,239 @@
+//! `seepd replay`: logs in, leak by cycle out.
+
+use std::fs::File;
+use std::io::{self, BufWriter, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+
+use crate::cli::Outcome;
+use crate::config::{Config, load_model};
+use crate::event::{Event, Flag, Summary};
+use crate::failure::{Code, Failure};
+use crate::pipeline::{Pipeline, PipelineConfig};
+use crate::sink::csv::CsvSink;
+use crate::sink::mcap::EventSink;
+use crate::sink::terminal::{self, Colour};
+use crate::sink::json;
+use crate::source;
+
+/// Reads logs (MCAP or CSV) and tells the leak of each duty cycle, the flags and a summary.
+///
+/// Several logs are read one after the other as one machine's record. The leak is always given as an area (m²)
+/// and as the flow that this area passes at a stated pressure difference.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  seepd replay press-1.mcap\n  seepd replay --json --model model.json press-1.csv | jq .leak_flow_lpm\n  \
+                        seepd replay --config seepd.toml --csv cycles.csv --mcap estimates.mcap monday.mcap tuesday.mcap")]
+pub struct ReplayArguments {
+    /// Logs; `-` reads a CSV text from standard input
+    #[arg(required = true, value_name = "LOG")]
+    logs: Vec<PathBuf>,
+    /// Configuration with mapping, model and alarm thresholds
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Model instead of the configuration's or the one that the program brings
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Topic of the signals, where the log has several axes
+    #[arg(long, value_name = "TOPIC")]
+    topic: Option<String>,
+    /// Print JSON lines: a line a cycle, then the summary
+    #[arg(long)]
+    json: bool,
+    /// Print the summary only
+    #[arg(long, conflicts_with = "json")]
+    quiet: bool,
+    /// Write the cycles as CSV
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    /// Write the cycles and changes of flag as MCAP (/axis/leakage, /axis/flags)
+    #[arg(long, value_name = "FILE")]
+    mcap: Option<PathBuf>,
+    /// Pressure difference at which leaks are given as flows, MPa
+    #[arg(long, value_name = "MPA")]
+    reference_mpa: Option<f64>,
+    /// Exit with 1 if a flag rose above healthy
+    #[arg(long)]
+    fail_on_fault: bool,
+}
+
+/// Where events go besides standard output.
+#[derive(Default)]
+struct Files {
+    csv: Option<CsvSink<BufWriter<File>>>,
+    mcap: Option<EventSink<BufWriter<File>>>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure`] for configuration, model, logs or output.
+pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
+    let mut config = arguments.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+    if let Some(mpa) = arguments.reference_mpa {
+        if !(0.1..=100.0).contains(&mpa) {
+            return Err(Failure::new(Code::Usage, format!("--reference-mpa is {mpa}; it must lie in 0.1 … 100 MPa")));
+        }
+        config.reference_dp_pa = mpa * 1e6;
+    }
+    let model = match &arguments.model {
+        Some(path) => load_model(path)?,
+        None => config.load_model()?,
+    };
+    let projections = model.projections();
+    let mut pipeline = Pipeline::new(PipelineConfig {
+        axis: &config.axis,
+        model: &model,
+        projections: &projections,
+        alarm: &config.alarm,
+        reference_dp_pa: config.reference_dp_pa,
+    });
+    let create = |path: &Path| File::create(path).map(BufWriter::new).map_err(|error| Failure::writing(path, error));
+    let mut files = Files::default();
+    if let Some(path) = &arguments.csv {
+        files.csv = Some(CsvSink::new(create(path)?, model.feature_names()));
+    }
+    if let Some(path) = &arguments.mcap {
+        files.mcap = Some(EventSink::new(create(path)?).map_err(|error| Failure::writing(path, error))?);
+    }
+    let mut out = Printer::new(arguments, config.reference_dp_pa);
+    let notes = replay_logs(arguments, &config, &mut pipeline, &mut files, &mut out)?;
+    let summary = pipeline.summary();
+    files.finish(arguments)?;
+    for note in notes {
+        let _ = writeln!(io::stderr(), "seepd: {note}");
+    }
+    out.summary(&summary)?;
+    if let Some(rate) = pipeline.wrong_rate_hz()
+        && summary.cycles == 0
+    {
+        return Err(Failure::data(format!(
+            "the command comes at {rate:.1} Hz, the model reads {} Hz: no cycle could be used; train a model for this \
+             rate (controller.period_s in the plant file)",
+            model.file().sample_rate_hz
+        )));
+    }
+    let fault = summary.highest_flag >= Flag::Watch;
+    Ok(if arguments.fail_on_fault && fault { Outcome::Finding } else { Outcome::Good })
+}
+
+fn replay_logs(
+    arguments: &ReplayArguments,
+    config: &Config,
+    pipeline: &mut Pipeline<'_>,
+    files: &mut Files,
+    out: &mut Printer,
+) -> Result<Vec<String>, Failure> {
+    let mut notes = Vec::new();
+    let mut failure = None;
+    let mut take = |event: &Event<'_>| {
+        if failure.is_none() {
+            failure = files.write(arguments, event).and_then(|()| out.event(event)).err();
+        }
+    };
+    for path in &arguments.logs {
+        let mut source = source::open(path, config, arguments.topic.as_deref())?;
+        while let Some(sample) = source.next_sample()? {
+            pipeline.push(&sample, &mut take);
+        }
+        notes.extend(source.notes());
+    }
+    pipeline.finish(&mut take);
+    failure.map_or(Ok(notes), Err)
+}
+
+impl Files {
+    fn write(&mut self, arguments: &ReplayArguments, event: &Event<'_>) -> Result<(), Failure> {
+        if let (Some(sink), Some(path)) = (&mut self.csv, &arguments.csv) {
+            sink.write_event(event).map_err(|error| Failure::writing(path, error))?;
+        }
+        if let (Some(sink), Some(path)) = (&mut self.mcap, &arguments.mcap) {
+            sink.write_event(event).map_err(|error| Failure::writing(path, error))?;
+        }
+        Ok(())
+    }
+
+    fn finish(self, arguments: &ReplayArguments) -> Result<(), Failure> {
+        if let (Some(sink), Some(path)) = (self.csv, &arguments.csv) {
+            sink.finish().map_err(|error| Failure::writing(path, error))?;
+        }
+        if let (Some(sink), Some(path)) = (self.mcap, &arguments.mcap) {
+            sink.finish().map_err(|error| Failure::writing(path, error))?;
+        }
+        Ok(())
+    }
+}
+
+/// What a command prints on standard output.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Format {
+    Json,
+    Lines,
+    SummaryOnly,
+}
+
+/// Prints events on standard output. A reader that goes away ends the printing, not the work.
+struct Printer {
+    out: BufWriter<io::StdoutLock<'static>>,
+    format: Format,
+    colour: Colour,
+    started: bool,
+    listened_to: bool,
+    reference_dp_pa: f64,
+}
+
+impl Printer {
+    fn new(arguments: &ReplayArguments, reference_dp_pa: f64) -> Self {
+        let format = match (arguments.json, arguments.quiet) {
+            (true, _) => Format::Json,
+            (false, true) => Format::SummaryOnly,
+            (false, false) => Format::Lines,
+        };
+        let colour = Colour::detect(io::stdout().is_terminal());
+        let out = BufWriter::new(io::stdout().lock());
+        Printer { out, format, colour, started: false, listened_to: true, reference_dp_pa }
+    }
+
+    fn event(&mut self, event: &Event<'_>) -> Result<(), Failure> {
+        let result = match self.format {
+            Format::SummaryOnly => Ok(()),
+            // Programs read a line a cycle; the flags are in them.
+            Format::Json => match event {
+                Event::Cycle(_) => json::write_event(&mut self.out, event),
+                Event::Flag(_) => Ok(()),
+            },
+            Format::Lines => self.line(event),
+        };
+        self.heed(result)
+    }
+
+    fn line(&mut self, event: &Event<'_>) -> io::Result<()> {
+        if !self.started {
+            self.started = true;
+            terminal::write_header(&mut self.out, self.reference_dp_pa)?;
+        }
+        terminal::write_event(&mut self.out, event, self.colour)
+    }
+
+    fn summary(&mut self, summary: &Summary) -> Result<(), Failure> {
+        let result = match self.format {
+            Format::Json => json::write_summary(&mut self.out, summary),
+            Format::Lines | Format::SummaryOnly => terminal::write_summary(&mut self.out, summary, self.colour),
+        };
+        let result = result.and_then(|()| self.out.flush());
+        self.heed(result)
+    }
+
+    fn heed(&mut self, result: io::Result<()>) -> Result<(), Failure> {
+        match result {
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {
+                self.listened_to = false;
+                self.format = Format::SummaryOnly;
+                Ok(())
+            }
+            Err(_) if !self.listened_to => Ok(()),
+            other => other.map_err(|error| Failure::writing(Path::new("standard output"), error)),
+        }
+    }
+}
+

@@ -1,0 +1,331 @@
+//! `seepd simulate`: the log of a simulated machine.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use mcap::McapError;
+use seepd_sim::cycle::Turn;
+use seepd_sim::noise::Noise;
+use seepd_sim::{Input, Machine, MachineSpec, Record, Schedule};
+use serde::Serialize;
+
+use crate::cli::{Outcome, is_interactive};
+use crate::failure::{Code, Failure};
+use crate::sink::mcap::{ChunkCompression, McapSink, schema};
+
+/// Writes the log (MCAP) of a simulated machine: signals on /axis/signals, the truth on /axis/truth.
+///
+/// Without options: the nominal press, 24 cycles, no leak, command noise 0.001, seed 1. A warm-up cycle is
+/// simulated first and not written.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  seepd simulate --out healthy.mcap\n  \
+                        seepd simulate --out worn.mcap --cycles 100 --leak-area 5e-8 --leak-growth 1e-6 --seed 7\n  \
+                        seepd simulate --out sticky.mcap --with valve_deadband.half_width=0.04 --with coulomb_friction.force_n=800")]
+pub struct SimulateArguments {
+    /// Log to write
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Duty cycles to write
+    #[arg(long, default_value_t = 24, value_name = "N")]
+    pub cycles: usize,
+    /// Leak area past the piston seal, m²
+    #[arg(long, default_value_t = 0.0, value_name = "M2")]
+    pub leak_area: f64,
+    /// Leak area from a cycle on, m²: AREA@CYCLE
+    #[arg(long, value_name = "M2@CYCLE", conflicts_with = "leak_growth")]
+    pub leak_step: Option<String>,
+    /// Leak area at the last cycle, m²: exponential growth from --leak-area, or from 1e-8 m²
+    #[arg(long, value_name = "M2")]
+    pub leak_growth: Option<f64>,
+    /// Standard deviation of the measurement noise on the command, share of full command
+    #[arg(long, default_value_t = 0.001, value_name = "SIGMA")]
+    pub noise: f64,
+    /// Load varies from cycle to cycle within ± this share
+    #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
+    pub load_variation: f64,
+    /// Period varies from cycle to cycle within ± this share
+    #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
+    pub period_variation: f64,
+    /// Longest standstill between cycles, s; uniform from 0
+    #[arg(long, default_value_t = 0.0, value_name = "S")]
+    pub pause: f64,
+    /// Effect beyond the nominal plant: EFFECT.PARAMETER=VALUE; may be repeated
+    #[arg(long = "with", value_name = "EFFECT.PARAMETER=VALUE")]
+    pub with: Vec<String>,
+    /// Plant file instead of the nominal press
+    #[arg(long, value_name = "FILE")]
+    pub plant: Option<PathBuf>,
+    /// Seed of noise and variation
+    #[arg(long, default_value_t = 1, value_name = "S")]
+    pub seed: u64,
+    /// Begin the log this long after the start of a cycle, s
+    #[arg(long, default_value_t = 0.0, value_name = "S")]
+    pub start_at: f64,
+    /// Write the command alone
+    #[arg(long)]
+    pub command_only: bool,
+    /// Leave out the truth
+    #[arg(long)]
+    pub no_truth: bool,
+    /// Compression of the log
+    #[arg(long, value_enum, default_value_t)]
+    pub compression: ChunkCompression,
+    /// Prefix of the topics
+    #[arg(long, default_value = "/axis", value_name = "PREFIX")]
+    pub topic_prefix: String,
+}
+
+impl Default for SimulateArguments {
+    fn default() -> Self {
+        SimulateArguments {
+            out: PathBuf::new(),
+            cycles: 24,
+            leak_area: 0.0,
+            leak_step: None,
+            leak_growth: None,
+            noise: 0.001,
+            load_variation: 0.0,
+            period_variation: 0.0,
+            pause: 0.0,
+            with: Vec::new(),
+            plant: None,
+            seed: 1,
+            start_at: 0.0,
+            command_only: false,
+            no_truth: false,
+            compression: ChunkCompression::default(),
+            topic_prefix: "/axis".into(),
+        }
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure`] for arguments, plant file or output.
+pub fn run(arguments: &SimulateArguments) -> Result<Outcome, Failure> {
+    let spec = machine(arguments)?;
+    let turns = turns(arguments)?;
+    write_log(arguments, &spec, &turns)?;
+    Ok(Outcome::Good)
+}
+
+/// Reads a plant file, or takes the nominal press.
+///
+/// # Errors
+/// [`Failure`] with file, line and key.
+pub fn read_plant(path: Option<&Path>) -> Result<MachineSpec, Failure> {
+    let Some(path) = path else { return Ok(MachineSpec::default()) };
+    let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+    MachineSpec::from_toml(&text).map_err(|error| Failure::configuration(path, error))
+}
+
+fn machine(arguments: &SimulateArguments) -> Result<MachineSpec, Failure> {
+    let mut spec = read_plant(arguments.plant.as_deref())?;
+    for assignment in &arguments.with {
+        spec.set_effect(assignment)
+            .map_err(|error| Failure::new(Code::Usage, format!("--with {assignment}: {error}")))?;
+    }
+    Ok(spec)
+}
+
+fn check(name: &str, value: f64, low: f64, high: f64) -> Result<f64, Failure> {
+    if (low..=high).contains(&value) {
+        return Ok(value);
+    }
+    Err(Failure::new(Code::Usage, format!("{name} is {value}; it must lie in {low} … {high}")))
+}
+
+/// Largest leak area that is simulated, m²: ten times the article's.
+const LARGEST_LEAK_M2: f64 = 1e-4;
+/// Where growth from nothing begins, m².
+const GROWTH_FROM_M2: f64 = 1e-8;
+
+fn turns(arguments: &SimulateArguments) -> Result<Vec<Turn>, Failure> {
+    let start = check("--leak-area", arguments.leak_area, 0.0, LARGEST_LEAK_M2)?;
+    let load = check("--load-variation", arguments.load_variation, 0.0, 1.0)?;
+    let period = check("--period-variation", arguments.period_variation, 0.0, 0.2)?;
+    let pause = check("--pause", arguments.pause, 0.0, 86_400.0)?;
+    check("--noise", arguments.noise, 0.0, 1.0)?;
+    check("--cycles", arguments.cycles as f64, 1.0, 1e7)?;
+    let step = arguments.leak_step.as_deref().map(parse_step).transpose()?;
+    let growth = arguments.leak_growth.map(|end| check("--leak-growth", end, 0.0, LARGEST_LEAK_M2)).transpose()?;
+    let mut noise = Noise::new(arguments.seed, 1);
+    let turn = |cycle: usize, noise: &mut Noise| {
+        let leak_area_m2 = match (step, growth) {
+            (Some((area, from)), _) if cycle >= from => area,
+            (None, Some(end)) => {
+                let from = if start > 0.0 { start } else { GROWTH_FROM_M2 };
+                let share = cycle as f64 / (arguments.cycles.max(2) - 1) as f64;
+                from * (end.max(f64::MIN_POSITIVE) / from).powf(share)
+            }
+            _ => start,
+        };
+        Turn { leak_area_m2, load_factor: noise.factor(load), stretch: noise.factor(period), pause_s: noise.uniform(0.0, pause) }
+    };
+    // The warm-up is as planned, with the first cycle's leak.
+    let mut turns = vec![Turn::with_leak(turn(0, &mut noise.clone()).leak_area_m2)];
+    turns.extend((0..arguments.cycles).map(|cycle| turn(cycle, &mut noise)));
+    Ok(turns)
+}
+
+fn parse_step(text: &str) -> Result<(f64, usize), Failure> {
+    let wrong = || Failure::new(Code::Usage, format!("--leak-step `{text}` is not of the form AREA@CYCLE, such as 2e-7@12"));
+    let (area, cycle) = text.split_once('@').ok_or_else(wrong)?;
+    let area = check("--leak-step", area.parse().map_err(|_| wrong())?, 0.0, LARGEST_LEAK_M2)?;
+    Ok((area, cycle.parse().map_err(|_| wrong())?))
+}
+
+/// A message of `/axis/signals`. Pressures to 1 Pa, the rest to 1e-9, far below what a sensor tells.
+#[derive(Serialize)]
+struct SignalsMessage {
+    command: f64,
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    others: Option<OtherSignals>,
+}
+
+#[derive(Serialize)]
+struct OtherSignals {
+    demand: f64,
+    position: f64,
+    p_supply: f64,
+    p_inlet: f64,
+    p_cap: f64,
+    p_rod: f64,
+    load: f64,
+}
+
+/// A message of `/axis/truth`.
+#[derive(Serialize)]
+struct TruthMessage {
+    leak_area: f64,
+    leak_flow: f64,
+}
+
+fn nano(value: f64) -> f64 {
+    (value * 1e9).round() / 1e9
+}
+
+impl SignalsMessage {
+    fn of(record: &Record<f64>, command: f64, command_only: bool) -> Self {
+        let others = (!command_only).then(|| OtherSignals {
+            demand: nano(record.demand),
+            position: nano(record.position),
+            p_supply: record.p_supply.round(),
+            p_inlet: record.p_inlet.round(),
+            p_cap: record.p_cap.round(),
+            p_rod: record.p_rod.round(),
+            load: (record.load * 1e3).round() / 1e3,
+        });
+        SignalsMessage { command: nano(command), others }
+    }
+}
+
+/// Simulates and writes the log.
+///
+/// # Errors
+/// [`Failure`] where the log cannot be written or the simulation went out of bounds.
+pub fn write_log(arguments: &SimulateArguments, spec: &MachineSpec, turns: &[Turn]) -> Result<(), Failure> {
+    let path = &arguments.out;
+    let writing = |error: McapError| Failure::writing(path, error);
+    let file = File::create(path).map_err(|error| Failure::writing(path, error))?;
+    let mut sink = McapSink::new(BufWriter::new(file), arguments.compression).map_err(writing)?;
+    let prefix = &arguments.topic_prefix;
+    let signals = sink.add_channel(&format!("{prefix}/signals"), "seepd.Signals", schema::SIGNALS).map_err(writing)?;
+    let truth = (!arguments.no_truth)
+        .then(|| sink.add_channel(&format!("{prefix}/truth"), "seepd.Truth", schema::TRUTH))
+        .transpose()
+        .map_err(writing)?;
+    write_provenance(&mut sink, arguments, spec).map_err(writing)?;
+
+    let machine = Machine::<f64>::new(&[spec]);
+    let mut state = machine.start();
+    let period_s = spec.controller.period_s;
+    let schedule = Schedule::new(&spec.cycle, period_s, turns.to_vec());
+    let warm_up = schedule.ticks_of(0);
+    let start_at = check("--start-at", arguments.start_at, 0.0, spec.cycle.period_s)?;
+    let skipped = warm_up + (start_at / period_s).round() as u64;
+    let end: u64 = (0..turns.len()).map(|turn| schedule.ticks_of(turn)).sum();
+    let bar = progress_bar(turns.len() as u64 - 1, "simulating");
+    let mut noise = Noise::new(arguments.seed, 2);
+    let mut line = Vec::with_capacity(256);
+    for (tick, instant) in (0..end).zip(schedule) {
+        let record = machine.tick(&mut state, &Input::gather(&[instant]));
+        let noisy = record.command + noise.normal(arguments.noise);
+        if tick < skipped {
+            continue;
+        }
+        if !record.position.is_finite() {
+            return Err(Failure::data("the simulation went out of bounds; check the plant file's values".to_owned()));
+        }
+        let time_ns = ((tick - skipped) as f64 * period_s * 1e9).round() as i64;
+        let message = SignalsMessage::of(&record, noisy, arguments.command_only);
+        write_message(&mut sink, signals, time_ns, &mut line, &message).map_err(writing)?;
+        if let Some(truth) = truth {
+            let message = TruthMessage { leak_area: record.leak_area, leak_flow: record.leak_flow };
+            write_message(&mut sink, truth, time_ns, &mut line, &message).map_err(writing)?;
+        }
+        bar.set_position(instant.turn.saturating_sub(1) as u64);
+    }
+    bar.finish_and_clear();
+    sink.finish().map_err(writing)?;
+    if state.clamped_pressures > 0 {
+        warn(&format!(
+            "a pressure was held at 0 in {} plant steps: cavitation is not modelled",
+            state.clamped_pressures
+        ));
+    }
+    Ok(())
+}
+
+fn write_message(
+    sink: &mut McapSink<BufWriter<File>>,
+    channel: u16,
+    time_ns: i64,
+    line: &mut Vec<u8>,
+    message: &impl Serialize,
+) -> Result<(), McapError> {
+    line.clear();
+    serde_json::to_writer(&mut *line, message).map_err(|error| McapError::Io(error.into()))?;
+    sink.write(channel, time_ns, line)
+}
+
+/// Plant, seed and version go with the log.
+fn write_provenance(
+    sink: &mut McapSink<BufWriter<File>>,
+    arguments: &SimulateArguments,
+    spec: &MachineSpec,
+) -> Result<(), McapError> {
+    let plant = spec.to_toml().map_err(|error| McapError::Io(std::io::Error::other(error.to_string())))?;
+    let facts = BTreeMap::from([
+        ("software".to_owned(), concat!("seepd ", env!("CARGO_PKG_VERSION")).to_owned()),
+        ("seed".to_owned(), arguments.seed.to_string()),
+        ("noise".to_owned(), arguments.noise.to_string()),
+        ("plant".to_owned(), arguments.plant.as_ref().map_or("nominal".to_owned(), |path| path.display().to_string())),
+        ("effects".to_owned(), arguments.with.join(" ")),
+    ]);
+    sink.write_metadata("seepd.simulation", facts)?;
+    sink.attach("plant.toml", "application/toml", plant.as_bytes())
+}
+
+/// A progress bar on a terminal, and nothing elsewhere.
+pub(crate) fn progress_bar(length: u64, what: &'static str) -> ProgressBar {
+    if !is_interactive() {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template("{msg:>12} [{bar:40}] {pos}/{len} {eta}");
+    let bar = ProgressBar::new(length).with_message(what);
+    match style {
+        Ok(style) => bar.with_style(style.progress_chars("=> ")),
+        Err(_) => bar,
+    }
+}
+
+pub(crate) fn warn(message: &str) {
+    use std::io::Write;
+    let _ = writeln!(std::io::stderr(), "seepd: {message}");
+}

@@ -1,0 +1,139 @@
+//! `seepd.toml`: where the signals are, which model, when to raise an alarm.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use seepd_model::Model;
+use seepd_settings::parse_toml;
+use seepd_signals::Signal;
+use serde::{Deserialize, Serialize};
+
+use crate::alarm::AlarmConfig;
+use crate::failure::{Code, Failure};
+
+/// The content of `seepd.toml`; every key has a default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// Name of the machine axis in messages.
+    pub axis: String,
+    /// Model file, relative to this file; absent: the one that the program brings.
+    pub model: Option<PathBuf>,
+    /// Pressure difference at which leaks are given as flows, Pa.
+    pub reference_dp_pa: f64,
+    /// Name of a CSV file's time column, in seconds.
+    pub time_column: String,
+    /// Where each signal is. Empty: every signal under its own name, on the log's one topic that ends in `/signals`.
+    pub signals: BTreeMap<Signal, SignalMapping>,
+    /// Thresholds.
+    pub alarm: AlarmConfig,
+}
+
+/// Where a signal is and how it becomes SI: value · scale + offset.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SignalMapping {
+    /// Topic; empty: as if no mapping were given.
+    pub topic: String,
+    /// Path of the field in the message, such as `axis.valve.command` or `data[3]`; a CSV file's column. Empty: the
+    /// signal's name.
+    pub field: String,
+    /// Factor.
+    pub scale: f64,
+    /// Added after the factor.
+    pub offset: f64,
+    /// Path of a field with the time in seconds; empty: the message's log time.
+    pub time: String,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Config {
+            axis: "axis".into(),
+            model: None,
+            reference_dp_pa: 7e6,
+            time_column: "t_s".into(),
+            signals: BTreeMap::new(),
+            alarm: AlarmConfig::default(),
+        }
+    }
+}
+
+impl Default for SignalMapping {
+    fn default() -> Self {
+        SignalMapping { topic: String::new(), field: String::new(), scale: 1.0, offset: 0.0, time: String::new() }
+    }
+}
+
+impl Config {
+    /// Reads and checks a configuration file.
+    ///
+    /// # Errors
+    /// [`Failure`] with file, line and key.
+    pub fn read(path: &Path) -> Result<Self, Failure> {
+        let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+        let mut config = Self::parse(&text).map_err(|message| Failure::configuration(path, message))?;
+        if let (Some(model), Some(folder)) = (&config.model, path.parent()) {
+            config.model = Some(folder.join(model));
+        }
+        Ok(config)
+    }
+
+    /// Reads and checks a configuration's text.
+    ///
+    /// # Errors
+    /// One line with line and key.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let config: Config = parse_toml(text).map_err(|error| error.to_string())?;
+        if !(1e5..=1e8).contains(&config.reference_dp_pa) {
+            return Err(format!("reference_dp_pa is {}; it must lie in 1e5 … 1e8 Pa", config.reference_dp_pa));
+        }
+        for (signal, mapping) in &config.signals {
+            if !mapping.scale.is_finite() || mapping.scale == 0.0 || !mapping.offset.is_finite() {
+                return Err(format!("signals.{}: scale must be finite and not 0, offset finite", signal.name()));
+            }
+        }
+        config.alarm.check()?;
+        Ok(config)
+    }
+
+    /// The mapping in force: the given one, with names filled in.
+    pub fn mapping(&self, topic: Option<&str>) -> Vec<(Signal, SignalMapping)> {
+        let mut mapping: Vec<(Signal, SignalMapping)> = if self.signals.is_empty() {
+            Signal::ALL.into_iter().map(|signal| (signal, SignalMapping::default())).collect()
+        } else {
+            self.signals.iter().map(|(signal, mapping)| (*signal, mapping.clone())).collect()
+        };
+        for (signal, mapping) in &mut mapping {
+            if mapping.field.is_empty() {
+                mapping.field = signal.name().into();
+            }
+            if let Some(topic) = topic {
+                mapping.topic = topic.into();
+            }
+        }
+        mapping
+    }
+
+    /// The model in force.
+    ///
+    /// # Errors
+    /// [`Failure`] where the file cannot be read or is no model.
+    pub fn load_model(&self) -> Result<Model, Failure> {
+        match &self.model {
+            Some(path) => load_model(path),
+            None => Model::from_json(crate::EMBEDDED_MODEL)
+                .map_err(|error| Failure::new(Code::Internal, format!("the model that the program brings: {error}"))),
+        }
+    }
+}
+
+/// Reads and checks a model file.
+///
+/// # Errors
+/// [`Failure`] where the file cannot be read or is no model.
+pub fn load_model(path: &Path) -> Result<Model, Failure> {
+    let json = fs::read(path).map_err(|error| Failure::reading(path, &error))?;
+    Model::from_json(&json).map_err(|error| Failure::configuration(path, error))
+}

@@ -1,0 +1,165 @@
+//! What the pipeline says, in the form in which programs read it.
+
+use std::collections::BTreeMap;
+
+use serde::ser::SerializeMap;
+use serde::{Serialize, Serializer};
+
+/// L/min in a m³/s.
+pub const LPM_PER_M3_PER_S: f64 = 60_000.0;
+
+/// A machine's condition.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Flag {
+    /// There is nothing to base a statement on.
+    NoEstimate,
+    /// No leak that matters.
+    Healthy,
+    /// A leak to keep an eye on.
+    Watch,
+    /// A leak at which the seal's change is to be planned.
+    Leak,
+    /// A leak that the machine should not run with.
+    Severe,
+}
+
+impl Flag {
+    /// The flag's name in messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Flag::NoEstimate => "no_estimate",
+            Flag::Healthy => "healthy",
+            Flag::Watch => "watch",
+            Flag::Leak => "leak",
+            Flag::Severe => "severe",
+        }
+    }
+}
+
+/// Names and values of a cycle's features, in the model's order.
+#[derive(Debug, Clone, Copy)]
+pub struct FeatureValues<'a> {
+    /// Names.
+    pub names: &'a [String],
+    /// Values.
+    pub values: &'a [f64],
+}
+
+impl Serialize for FeatureValues<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.values.len()))?;
+        for (name, value) in self.names.iter().zip(self.values) {
+            map.serialize_entry(name, value)?;
+        }
+        map.end()
+    }
+}
+
+/// `seepd.cycle/1`: a cycle's line.
+#[derive(Debug, Clone, Serialize)]
+pub struct CycleLine<'a> {
+    /// `seepd.cycle/1`.
+    pub schema: &'static str,
+    /// Machine axis.
+    pub axis: &'a str,
+    /// Number of the cycle, from 0; rejected cycles count too.
+    pub cycle: u64,
+    /// Start, s from the log's first sample.
+    pub t_start_s: f64,
+    /// End, s from the log's first sample.
+    pub t_end_s: f64,
+    /// Start, ns in the log's own time.
+    pub t_start_ns: i64,
+    /// Estimate, m².
+    pub leak_area_m2: Option<f64>,
+    /// Interval that holds the truth nine times in ten, m².
+    pub interval90_m2: Option<[f64; 2]>,
+    /// Flow of the leak orifice at the reference pressure difference, L/min.
+    pub leak_flow_lpm: Option<f64>,
+    /// Reference pressure difference, Pa.
+    pub reference_dp_pa: f64,
+    /// Condition after this cycle; `no_estimate` for a rejected one.
+    pub flag: Flag,
+    /// Why there is no estimate.
+    pub reason: Option<&'static str>,
+    /// Features by name; absent for a rejected cycle.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub features: Option<FeatureValues<'a>>,
+}
+
+/// What a change of flag is based on.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Evidence {
+    /// Cycles in a row that agree.
+    pub cycles: u32,
+    /// Smallest flow among them, L/min.
+    pub lowest_lpm: Option<f64>,
+    /// Largest flow among them, L/min.
+    pub highest_lpm: Option<f64>,
+    /// The threshold that was passed, L/min.
+    pub threshold_lpm: Option<f64>,
+    /// Why there is no estimate.
+    pub reason: Option<&'static str>,
+}
+
+/// `seepd.event/1`: a raise, a clear or a loss of estimate.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FlagEvent<'a> {
+    /// `seepd.event/1`.
+    pub schema: &'static str,
+    /// Machine axis.
+    pub axis: &'a str,
+    /// Flag before.
+    pub flag_from: Flag,
+    /// Flag now.
+    pub flag_to: Flag,
+    /// Number of the cycle that decided.
+    pub cycle: u64,
+    /// Time, s from the log's first sample.
+    pub t_s: f64,
+    /// Time, ns in the log's own time.
+    pub t_ns: i64,
+    /// On what grounds.
+    pub evidence: Evidence,
+}
+
+/// `seepd.summary/1`: the last line.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// `seepd.summary/1`.
+    pub schema: &'static str,
+    /// Machine axis.
+    pub axis: String,
+    /// Samples with a command.
+    pub samples: u64,
+    /// Samples left out or filled in, by reason.
+    pub samples_rejected: BTreeMap<&'static str, u64>,
+    /// Cycles with an estimate.
+    pub cycles: u64,
+    /// Cycles without one, by reason.
+    pub rejected: BTreeMap<&'static str, u64>,
+    /// Condition at the end.
+    pub flag: Flag,
+    /// Why there is no estimate at the end.
+    pub reason: Option<&'static str>,
+    /// Median of the last estimates, m².
+    pub leak_area_m2: Option<f64>,
+    /// The same as a flow at the reference pressure difference, L/min.
+    pub leak_flow_lpm: Option<f64>,
+    /// Reference pressure difference, Pa.
+    pub reference_dp_pa: f64,
+    /// Highest flag reached.
+    pub highest_flag: Flag,
+    /// Length of the log, s.
+    pub duration_s: f64,
+}
+
+/// What the pipeline says.
+#[derive(Debug, Clone)]
+pub enum Event<'a> {
+    /// A cycle, with an estimate or rejected.
+    Cycle(CycleLine<'a>),
+    /// A change of flag.
+    Flag(FlagEvent<'a>),
+}

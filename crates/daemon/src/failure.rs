@@ -1,0 +1,70 @@
+//! What ends the program, and with which exit code.
+
+use std::fmt;
+use std::io;
+use std::path::Path;
+
+/// Exit codes: an interface, after sysexits.h.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Code {
+    /// A finding, where `--fail-on-fault` asks for one.
+    Finding = 1,
+    /// Wrong use of the command line.
+    Usage = 64,
+    /// Data that cannot be read.
+    Data = 65,
+    /// Input that is not there.
+    NoInput = 66,
+    /// A fault of the program.
+    Internal = 70,
+    /// Reading or writing failed.
+    Io = 74,
+    /// A configuration, plant or model file that is wrong.
+    Configuration = 78,
+}
+
+/// Why the program ends early: one line for a person, one code for a program.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Failure {
+    /// Exit code.
+    pub code: Code,
+    /// What, where, what to do.
+    pub message: String,
+}
+
+impl Failure {
+    /// A failure of that kind.
+    pub fn new(code: Code, message: impl Into<String>) -> Self {
+        Failure { code, message: message.into() }
+    }
+
+    /// Unreadable data.
+    pub fn data(message: impl Into<String>) -> Self {
+        Failure::new(Code::Data, message)
+    }
+
+    /// A file that could not be opened or read.
+    pub fn reading(path: &Path, error: &io::Error) -> Self {
+        let code = if error.kind() == io::ErrorKind::NotFound { Code::NoInput } else { Code::Io };
+        Failure::new(code, format!("{}: {error}", path.display()))
+    }
+
+    /// A file that could not be written.
+    pub fn writing(path: &Path, error: impl fmt::Display) -> Self {
+        Failure::new(Code::Io, format!("writing {}: {error}", path.display()))
+    }
+
+    /// A configuration file that is wrong.
+    pub fn configuration(path: &Path, error: impl fmt::Display) -> Self {
+        Failure::new(Code::Configuration, format!("{}: {error}", path.display()))
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}
+
+impl std::error::Error for Failure {}

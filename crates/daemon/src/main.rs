@@ -1,0 +1,7 @@
+//! The `seepd` program: a call into its library.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    seepd::main()
+}

@@ -1,0 +1,31 @@
+//! Events as JSON lines.
+
+use std::io::{self, Write};
+
+use serde::Serialize;
+
+use crate::event::{Event, Summary};
+
+/// Writes a cycle's line. Changes of flag show in the cycles' flags and, by themselves, in MCAP.
+///
+/// # Errors
+/// Writing failed.
+pub fn write_event(out: &mut impl Write, event: &Event<'_>) -> io::Result<()> {
+    match event {
+        Event::Cycle(line) => write_line(out, line),
+        Event::Flag(flag) => write_line(out, flag),
+    }
+}
+
+/// Writes the last line.
+///
+/// # Errors
+/// Writing failed.
+pub fn write_summary(out: &mut impl Write, summary: &Summary) -> io::Result<()> {
+    write_line(out, summary)
+}
+
+fn write_line(out: &mut impl Write, value: &impl Serialize) -> io::Result<()> {
+    serde_json::to_writer(&mut *out, value)?;
+    out.write_all(b"\n")
+}

@@ -1,0 +1,163 @@
+//! MCAP logs: simulated signals and truth, and estimates and flags.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::{Seek, Write};
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
+
+use crate::event::Event;
+
+/// Library name in the files' header.
+const LIBRARY: &str = concat!("seepd ", env!("CARGO_PKG_VERSION"));
+/// Bytes after which a chunk is closed.
+const CHUNK_BYTES: u64 = 1 << 20;
+
+/// Compression of the chunks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "simulate", derive(clap::ValueEnum))]
+pub enum ChunkCompression {
+    /// Zstandard.
+    #[default]
+    Zstd,
+    /// LZ4.
+    Lz4,
+    /// None.
+    None,
+}
+
+/// Writes messages to channels.
+pub struct McapSink<W: Write + Seek> {
+    writer: Writer<W>,
+    sequence: BTreeMap<u16, u32>,
+}
+
+impl<W: Write + Seek> McapSink<W> {
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn new(out: W, compression: ChunkCompression) -> Result<Self, McapError> {
+        let compression = match compression {
+            ChunkCompression::Zstd => Some(Compression::Zstd),
+            ChunkCompression::Lz4 => Some(Compression::Lz4),
+            ChunkCompression::None => None,
+        };
+        let options = WriteOptions::new()
+            .profile("")
+            .library(LIBRARY)
+            .compression(compression)
+            .chunk_size(Some(CHUNK_BYTES));
+        Ok(McapSink { writer: options.create(out)?, sequence: BTreeMap::new() })
+    }
+
+    /// Adds a channel of JSON messages; the schema is a JSON schema.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn add_channel(&mut self, topic: &str, schema_name: &str, schema: &str) -> Result<u16, McapError> {
+        let schema = self.writer.add_schema(schema_name, "jsonschema", schema.as_bytes())?;
+        self.writer.add_channel(schema, topic, "json", &BTreeMap::new())
+    }
+
+    /// Writes a message.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn write(&mut self, channel_id: u16, time_ns: i64, json: &[u8]) -> Result<(), McapError> {
+        let time = time_ns.max(0) as u64;
+        let sequence = self.sequence.entry(channel_id).or_default();
+        *sequence += 1;
+        let header = MessageHeader { channel_id, sequence: *sequence, log_time: time, publish_time: time };
+        self.writer.write_to_known_channel(&header, json)
+    }
+
+    /// Adds facts about the file.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn write_metadata(&mut self, name: &str, facts: BTreeMap<String, String>) -> Result<(), McapError> {
+        self.writer.write_metadata(&Metadata { name: name.into(), metadata: facts })
+    }
+
+    /// Adds a file within the file.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn attach(&mut self, name: &str, media_type: &str, content: &[u8]) -> Result<(), McapError> {
+        self.writer.attach(&Attachment {
+            log_time: 0,
+            create_time: 0,
+            name: name.into(),
+            media_type: media_type.into(),
+            data: Cow::Borrowed(content),
+        })
+    }
+
+    /// Writes index and footer.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn finish(mut self) -> Result<(), McapError> {
+        self.writer.finish().map(|_| ())
+    }
+}
+
+/// Schemas of what is written.
+pub mod schema {
+    /// `/axis/signals`.
+    pub const SIGNALS: &str = r#"{"title":"seepd.Signals","type":"object","properties":{"command":{"type":"number"},"demand":{"type":"number"},"position":{"type":"number"},"p_supply":{"type":"number"},"p_inlet":{"type":"number"},"p_cap":{"type":"number"},"p_rod":{"type":"number"},"load":{"type":"number"},"cycle_start":{"type":"number"}}}"#;
+    /// `/axis/truth`.
+    pub const TRUTH: &str = r#"{"title":"seepd.Truth","type":"object","properties":{"leak_area":{"type":"number"},"leak_flow":{"type":"number"}}}"#;
+    /// `/axis/leakage`.
+    pub const CYCLE: &str = r#"{"title":"seepd.cycle/1","type":"object","properties":{"schema":{"const":"seepd.cycle/1"},"axis":{"type":"string"},"cycle":{"type":"integer"},"t_start_s":{"type":"number"},"t_end_s":{"type":"number"},"t_start_ns":{"type":"integer"},"leak_area_m2":{"type":["number","null"]},"leak_flow_lpm":{"type":["number","null"]},"reference_dp_pa":{"type":"number"},"flag":{"type":"string"},"reason":{"type":["string","null"]}}}"#;
+    /// `/axis/flags`.
+    pub const EVENT: &str = r#"{"title":"seepd.event/1","type":"object","properties":{"schema":{"const":"seepd.event/1"},"axis":{"type":"string"},"flag_from":{"type":"string"},"flag_to":{"type":"string"},"cycle":{"type":"integer"},"t_s":{"type":"number"},"evidence":{"type":"object"}}}"#;
+}
+
+/// Writes cycles to `/axis/leakage` and changes of flag to `/axis/flags`.
+pub struct EventSink<W: Write + Seek> {
+    sink: McapSink<W>,
+    leakage: u16,
+    flags: u16,
+    line: Vec<u8>,
+}
+
+impl<W: Write + Seek> EventSink<W> {
+    /// Begins a file.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn new(out: W) -> Result<Self, McapError> {
+        let mut sink = McapSink::new(out, ChunkCompression::default())?;
+        let leakage = sink.add_channel("/axis/leakage", "seepd.cycle/1", schema::CYCLE)?;
+        let flags = sink.add_channel("/axis/flags", "seepd.event/1", schema::EVENT)?;
+        Ok(EventSink { sink, leakage, flags, line: Vec::new() })
+    }
+
+    /// Writes an event: a cycle at its end, a flag at its change.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn write_event(&mut self, event: &Event<'_>) -> Result<(), McapError> {
+        self.line.clear();
+        let (channel, time_ns, result) = match event {
+            Event::Cycle(line) => {
+                let length_ns = ((line.t_end_s - line.t_start_s) * 1e9).round() as i64;
+                (self.leakage, line.t_start_ns.saturating_add(length_ns), serde_json::to_writer(&mut self.line, line))
+            }
+            Event::Flag(flag) => (self.flags, flag.t_ns, serde_json::to_writer(&mut self.line, flag)),
+        };
+        result.map_err(|error| McapError::Io(error.into()))?;
+        self.sink.write(channel, time_ns, &self.line)
+    }
+
+    /// Writes index and footer.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn finish(self) -> Result<(), McapError> {
+        self.sink.finish()
+    }
+}

@@ -1,0 +1,139 @@
+//! Events as lines for a person.
+
+use std::io::{self, Write};
+
+use crate::event::{CycleLine, Event, Flag, FlagEvent, Summary};
+
+/// Whether colours are used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Colour {
+    /// ANSI colours.
+    On,
+    /// Plain text.
+    Off,
+}
+
+impl Colour {
+    /// Colours on a terminal, unless `NO_COLOR` is set (no-color.org).
+    pub fn detect(is_terminal: bool) -> Self {
+        let refused = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+        if is_terminal && !refused { Colour::On } else { Colour::Off }
+    }
+
+    fn paint(self, flag: Flag, text: &str) -> String {
+        let code = match flag {
+            Flag::NoEstimate => "2",
+            Flag::Healthy => "32",
+            Flag::Watch => "33",
+            Flag::Leak => "31",
+            Flag::Severe => "1;31",
+        };
+        match self {
+            Colour::On => format!("\x1b[{code}m{text}\x1b[0m"),
+            Colour::Off => text.to_owned(),
+        }
+    }
+}
+
+/// Writes the columns' names.
+///
+/// # Errors
+/// Writing failed.
+pub fn write_header(out: &mut impl Write, reference_dp_pa: f64) -> io::Result<()> {
+    writeln!(
+        out,
+        "{:>6} {:>10}  {:>11} {:>23}  {:>8}  flag   (L/min at {} MPa)",
+        "cycle",
+        "start s",
+        "leak m²",
+        "90 % interval m²",
+        "L/min",
+        reference_dp_pa / 1e6
+    )
+}
+
+/// Writes an event.
+///
+/// # Errors
+/// Writing failed.
+pub fn write_event(out: &mut impl Write, event: &Event<'_>, colour: Colour) -> io::Result<()> {
+    match event {
+        Event::Cycle(line) => write_cycle(out, line, colour),
+        Event::Flag(flag) => write_flag(out, flag, colour),
+    }
+}
+
+fn write_cycle(out: &mut impl Write, line: &CycleLine<'_>, colour: Colour) -> io::Result<()> {
+    write!(out, "{:>6} {:>10.3}  ", line.cycle, line.t_start_s)?;
+    match (line.leak_area_m2, line.interval90_m2, line.leak_flow_lpm) {
+        (Some(area), Some([low, high]), Some(flow)) => {
+            let interval = format!("{low:.2e} … {high:.2e}");
+            write!(out, "{area:>11.3e} {interval:>23}  {flow:>8.3}  ")?;
+        }
+        _ => write!(out, "{:>11} {:>23}  {:>8}  ", "–", "–", "–")?,
+    }
+    write!(out, "{}", colour.paint(line.flag, line.flag.name()))?;
+    match line.reason {
+        Some(reason) => writeln!(out, " ({reason})"),
+        None => writeln!(out),
+    }
+}
+
+fn write_flag(out: &mut impl Write, event: &FlagEvent<'_>, colour: Colour) -> io::Result<()> {
+    let evidence = &event.evidence;
+    write!(
+        out,
+        "{:>6} {:>10.3}  {} → {}",
+        "▸",
+        event.t_s,
+        event.flag_from.name(),
+        colour.paint(event.flag_to, event.flag_to.name())
+    )?;
+    if let Some(reason) = evidence.reason {
+        write!(out, ": {reason}")?;
+    }
+    if let (Some(low), Some(high), Some(threshold)) = (evidence.lowest_lpm, evidence.highest_lpm, evidence.threshold_lpm) {
+        write!(out, ": {} cycles at {low:.3} … {high:.3} L/min, threshold {threshold} L/min", evidence.cycles)?;
+    }
+    writeln!(out)
+}
+
+/// Writes the summary.
+///
+/// # Errors
+/// Writing failed.
+pub fn write_summary(out: &mut impl Write, summary: &Summary, colour: Colour) -> io::Result<()> {
+    writeln!(out)?;
+    let rejected: u64 = summary.rejected.values().sum();
+    write!(
+        out,
+        "{}: {} – {} cycles in {:.1} s",
+        summary.axis,
+        colour.paint(summary.flag, summary.flag.name()),
+        summary.cycles,
+        summary.duration_s
+    )?;
+    if rejected > 0 {
+        write!(out, ", {rejected} rejected ({})", listed(&summary.rejected))?;
+    }
+    if let Some(reason) = summary.reason {
+        write!(out, "; no estimate: {reason}")?;
+    }
+    writeln!(out)?;
+    if let (Some(area), Some(flow)) = (summary.leak_area_m2, summary.leak_flow_lpm) {
+        writeln!(
+            out,
+            "leak: {area:.3e} m², {flow:.3} L/min at {} MPa (median of the last cycles); highest flag {}",
+            summary.reference_dp_pa / 1e6,
+            summary.highest_flag.name()
+        )?;
+    }
+    if !summary.samples_rejected.is_empty() {
+        writeln!(out, "samples: {} read; {}", summary.samples, listed(&summary.samples_rejected))?;
+    }
+    Ok(())
+}
+
+fn listed(counts: &std::collections::BTreeMap<&'static str, u64>) -> String {
+    counts.iter().map(|(name, count)| format!("{count} {name}")).collect::<Vec<_>>().join(", ")
+}

@@ -1,0 +1,81 @@
+//! Reads users' TOML files: errors with line and the nearest known key.
+//!
+//! The simulator's `plant.toml` and the daemon's `seepd.toml` are read by the same few functions, and neither crate
+//! should need the other for them.
+
+use serde::de::DeserializeOwned;
+
+/// Why a TOML file cannot be read into its structure.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("line {line}: {message}")]
+pub struct FormatError {
+    /// Line, from 1.
+    pub line: usize,
+    /// What is wrong, with the nearest known key where a key is unknown.
+    pub message: String,
+}
+
+/// Reads a TOML text; an unknown key is answered with the nearest known one.
+///
+/// # Errors
+/// [`FormatError`] with the line.
+pub fn parse_toml<T: DeserializeOwned>(text: &str) -> Result<T, FormatError> {
+    toml::from_str(text).map_err(|error| {
+        let at = error.span().map_or(0, |span| span.start.min(text.len()));
+        let line = 1 + text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
+        FormatError { line, message: with_nearest_key(error.message()) }
+    })
+}
+
+/// Shortens serde's "unknown field `a`, expected one of `b`, `c`, …" to the nearest name.
+fn with_nearest_key(message: &str) -> String {
+    let Some((unknown, rest)) = message.strip_prefix("unknown field `").and_then(|rest| rest.split_once('`')) else {
+        return message.lines().next().unwrap_or_default().to_owned();
+    };
+    let known: Vec<&str> = rest.split('`').skip(1).step_by(2).collect();
+    unknown_key(unknown, &known)
+}
+
+/// "unknown key `a`; did you mean `b`?", or the list where nothing is near.
+pub fn unknown_key(unknown: &str, known: &[&str]) -> String {
+    let near = known
+        .iter()
+        .map(|name| (strsim::jaro_winkler(&unknown.to_lowercase(), &name.to_lowercase()), name))
+        .max_by(|a, b| a.0.total_cmp(&b.0));
+    match near {
+        Some((likeness, name)) if likeness > 0.7 => format!("unknown key `{unknown}`; did you mean `{name}`?"),
+        _ => format!("unknown key `{unknown}`; known are {}", known.join(", ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, PartialEq, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Table {
+        valve_gain: f64,
+        #[serde(default)]
+        mass_kg: f64,
+    }
+
+    #[test]
+    fn unknown_key_is_answered_with_line_and_nearest() {
+        let error = parse_toml::<Table>("valve_gain = 1.0\nmas_kg = 2.0\n").unwrap_err();
+        assert_eq!(error.to_string(), "line 2: unknown key `mas_kg`; did you mean `mass_kg`?");
+    }
+
+    #[test]
+    fn far_key_is_answered_with_the_list() {
+        let error = parse_toml::<Table>("valve_gain = 1.0\nzzz = 2.0\n").unwrap_err();
+        assert_eq!(error.to_string(), "line 2: unknown key `zzz`; known are valve_gain, mass_kg");
+    }
+
+    #[test]
+    fn wrong_type_is_told_in_one_line() {
+        let error = parse_toml::<Table>("valve_gain = \"much\"\n").unwrap_err();
+        assert_eq!(error.line, 1);
+        assert!(!error.message.contains('\n'));
+    }
+}
