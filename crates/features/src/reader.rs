@@ -123,6 +123,8 @@ pub struct CycleState<B> {
     pending: Option<Reason>,
     /// The cycle that the next orphaned stroke belongs to has been reported already.
     reported: bool,
+    /// End and reason of an orphaned stroke that no cycle has been found around yet.
+    orphan: Option<(i64, Reason)>,
     /// Standstills: first and last sample number.
     runs: [(i64, i64); REMEMBERED_RUNS],
     run_start: i64,
@@ -134,8 +136,8 @@ pub struct CycleState<B> {
 /// Starts of cycles as the demand or a start-of-cycle signal tells them.
 #[derive(Debug, Clone, Copy, Default)]
 struct StartMarks {
-    /// Whether the signal was above its level at the last sample.
-    above: Option<bool>,
+    /// The signal at the last sample.
+    before: Option<f64>,
     marks: [i64; 4],
     count: usize,
 }
@@ -158,6 +160,7 @@ impl<B: AsRef<[f32]> + AsMut<[f32]>> CycleState<B> {
             open: None,
             pending: None,
             reported: false,
+            orphan: None,
             runs: [(0, 0); REMEMBERED_RUNS],
             run_start: 0,
             starts: StartMarks::default(),
@@ -193,6 +196,12 @@ impl<B: AsRef<[f32]> + AsMut<[f32]>> CycleState<B> {
 impl<'m> CycleReader<'m> {
     fn period_ns(&self) -> f64 {
         1e9 / self.definition.sample_rate_hz
+    }
+
+    /// Samples that a cycle's first or last hold may lack, 20 ms: a log that begins or ends with a cycle may miss it
+    /// by a few. More is a cycle that began before the stretch did, or ends after it.
+    fn bearable_samples(&self) -> i64 {
+        libm::round(0.02 * self.definition.sample_rate_hz) as i64
     }
 
     /// Takes a sample; `sink` hears of each cycle that it completes or spoils.
@@ -239,6 +248,12 @@ impl<'m> CycleReader<'m> {
         reason: Reason,
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
+        let bearable = self.bearable_samples();
+        if let Some(span) = state.open.filter(|span| span.end - state.next <= bearable) {
+            state.open = None;
+            self.close(state, &span, sink);
+        }
+        self.reject_orphan(state, sink);
         let spoilt = state.open.is_some() || state.segment.is_amid_cycle(&self.definition, state.next);
         if spoilt {
             let start = state.open.map_or(state.view().oldest(), |open| open.start);
@@ -317,13 +332,18 @@ impl<'m> CycleReader<'m> {
         if !now.is_finite() {
             return;
         }
-        let above = now > level;
-        if marks.above.is_some_and(|before| before != above) && above == rising {
-            let offset = libm::round(at_s * self.definition.sample_rate_hz) as i64;
-            marks.marks[marks.count % marks.marks.len()] = state.next - 1 - offset;
+        if let Some(before) = marks.before
+            && (before > level) != (now > level)
+            && (now > level) == rising
+        {
+            // The crossing lies between two samples.
+            let crossing = (state.next - 1) as f64 - (now - level) / (now - before);
+            let start = libm::round(crossing - at_s * self.definition.sample_rate_hz) as i64;
+            // A bit that rises does so at its sample.
+            marks.marks[marks.count % marks.marks.len()] = if at_s > 0.0 { start } else { state.next - 1 };
             marks.count += 1;
         }
-        marks.above = Some(above);
+        marks.before = Some(now);
     }
 
     /// The start-of-cycle mark near a start, if the log has such marks.
@@ -347,9 +367,12 @@ impl<'m> CycleReader<'m> {
         if let Some(mark) = self.marked_start(state, span.start) {
             span.start = mark;
         }
+        match state.orphan {
+            Some((end, _)) if end > span.start => state.orphan = None,
+            _ => self.reject_orphan(state, sink),
+        }
         let missing = state.view().oldest() - span.start;
-        // A hold may lack its first samples; more is a cycle that began before the stretch did.
-        let bearable = libm::round(0.02 * self.definition.sample_rate_hz) as i64;
+        let bearable = self.bearable_samples();
         let pending = state.pending.take();
         let reported = core::mem::take(&mut state.reported);
         if missing > bearable {
@@ -361,18 +384,36 @@ impl<'m> CycleReader<'m> {
         state.open = Some(span);
     }
 
+    /// A last stroke without its first: of a cycle that is not all there, or a bump within a cycle that a large leak
+    /// makes look like one, which the cycle found around it will tell.
     fn orphaned<B: AsRef<[f32]> + AsMut<[f32]>>(
         &self,
         state: &mut CycleState<B>,
         end: i64,
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
-        let pending = state.pending.take();
-        if core::mem::take(&mut state.reported) {
+        if state.reported && state.orphan.is_none() {
+            state.reported = false;
             return;
         }
-        let start = state.view().oldest();
-        self.reject(state, start.max(end - self.definition.cycle_samples() as i64), end, pending.unwrap_or(Reason::Incomplete), sink);
+        if let Some((before, _)) = state.orphan
+            && end - before > self.definition.cycle_samples() as i64 / 2
+        {
+            self.reject_orphan(state, sink);
+        }
+        let reason = state.pending.take().unwrap_or(Reason::Incomplete);
+        state.orphan.get_or_insert((end, reason));
+    }
+
+    fn reject_orphan<B: AsRef<[f32]> + AsMut<[f32]>>(
+        &self,
+        state: &mut CycleState<B>,
+        sink: &mut impl FnMut(Outcome<'_>),
+    ) {
+        if let Some((end, reason)) = state.orphan.take() {
+            let start = (end - self.definition.cycle_samples() as i64).max(0);
+            self.reject(state, start, end, reason, sink);
+        }
     }
 
     fn reject<B: AsRef<[f32]> + AsMut<[f32]>>(

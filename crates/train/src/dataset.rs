@@ -18,11 +18,13 @@ pub struct Spread {
     pub parameters: f64,
     /// The load is scaled within ± this share.
     pub load: f64,
+    /// The duty cycle's time is scaled within ± this share.
+    pub period: f64,
 }
 
 impl Default for Spread {
     fn default() -> Self {
-        Spread { parameters: 0.05, load: 0.05 }
+        Spread { parameters: 0.05, load: 0.05, period: 0.03 }
     }
 }
 
@@ -53,6 +55,8 @@ pub struct Observation {
     pub spec: MachineSpec,
     /// Load over plan.
     pub load_factor: f64,
+    /// Time over plan.
+    pub stretch: f64,
     /// Truth, m².
     pub leak_area_m2: f64,
     /// Number of the random stream for its noise.
@@ -83,9 +87,10 @@ pub fn draw(spec: &MachineSpec, spread: Spread, count: usize, seed: u64, purpose
                 }
             }
             let load_factor = noise.factor(spread.load);
+            let stretch = noise.factor(spread.period);
             let rank = (index as f64 + noise.uniform(0.0, 1.0)) / count as f64;
             // Neighbouring indices would be neighbouring leaks; a lane of eight then shares its fate.
-            Observation { spec: varied, load_factor, leak_area_m2: leak_at(rank), stream }
+            Observation { spec: varied, load_factor, stretch, leak_area_m2: leak_at(rank), stream }
         })
         .collect()
 }
@@ -119,9 +124,10 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
     let jobs: Vec<Job> = observations
         .iter()
         .map(|observation| {
-            let period_ticks = (observation.spec.cycle.period_s / observation.spec.controller.period_s).round() as u64;
+            let planned_ticks = observation.spec.cycle.period_s / observation.spec.controller.period_s;
+            let period_ticks = (planned_ticks * observation.stretch).round() as u64;
             let lead = lead(observation) as u64;
-            let turn = Turn { load_factor: observation.load_factor, ..Turn::with_leak(observation.leak_area_m2) };
+            let turn = Turn { load_factor: observation.load_factor, stretch: observation.stretch, ..Turn::with_leak(observation.leak_area_m2) };
             Job {
                 spec: observation.spec.clone(),
                 turns: vec![turn],

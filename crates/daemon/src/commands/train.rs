@@ -70,7 +70,7 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
         observations: arguments.observations,
         held_out: arguments.held_out,
         trials: arguments.trials,
-        spread: Spread { parameters: arguments.parameter_spread, load: arguments.load_spread },
+        spread: Spread { parameters: arguments.parameter_spread, load: arguments.load_spread, ..Spread::default() },
         ..Settings::default()
     };
     let mut stage = None;
