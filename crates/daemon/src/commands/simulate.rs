@@ -180,7 +180,7 @@ fn parse_step(text: &str) -> Result<(f64, usize), Failure> {
     Ok((area, cycle.parse().map_err(|_| wrong())?))
 }
 
-/// A message of `/axis/signals`. Pressures to 1 Pa, the rest to 1e-9, far below what a sensor tells.
+/// A message of `/axis/signals`. Pressures to 1 Pa, the rest to 1e-8, far below what a sensor tells.
 #[derive(Serialize)]
 struct SignalsMessage {
     command: f64,
@@ -206,22 +206,22 @@ struct TruthMessage {
     leak_flow: f64,
 }
 
-fn nano(value: f64) -> f64 {
-    (value * 1e9).round() / 1e9
+fn rounded(value: f64) -> f64 {
+    (value * 1e8).round() / 1e8
 }
 
 impl SignalsMessage {
     fn of(record: &Record<f64>, command: f64, command_only: bool) -> Self {
         let others = (!command_only).then(|| OtherSignals {
-            demand: nano(record.demand),
-            position: nano(record.position),
+            demand: rounded(record.demand),
+            position: rounded(record.position),
             p_supply: record.p_supply.round(),
             p_inlet: record.p_inlet.round(),
             p_cap: record.p_cap.round(),
             p_rod: record.p_rod.round(),
             load: (record.load * 1e3).round() / 1e3,
         });
-        SignalsMessage { command: nano(command), others }
+        SignalsMessage { command: rounded(command), others }
     }
 }
 

@@ -1,1 +1,51 @@
-//! h
+//! Self-contained HTML pages: one file, no outside requests, light and dark, readable on paper.
+
+pub mod chart;
+pub mod demo;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+/// Colours and layout of every page. The chart's classes take their colours from here, so that pages follow the reader's
+/// light or dark setting, and paper gets the light one.
+const STYLE: &str = "
+:root{--ground:#fff;--text:#1c2430;--soft:#5d6b7c;--line:#d9dfe6;--panel:#f6f8fa;--a:#1f6feb;--b:#d1480f;--band:#1f6feb2e;
+--healthy:#2e9e5b;--watch:#d9a300;--leak:#d9650f;--severe:#c42133;--no_estimate:#9aa5b1}
+@media screen and (prefers-color-scheme:dark){:root{--ground:#12171e;--text:#e4e9ef;--soft:#96a3b2;--line:#2d3743;--panel:#1a212a;
+--a:#6aa8ff;--b:#ff9159;--band:#6aa8ff38;--healthy:#43b872;--watch:#e3b72d;--leak:#f0833a;--severe:#ef5568;--no_estimate:#6b7784}}
+*{box-sizing:border-box}body{margin:0;background:var(--ground);color:var(--text);font:16px/1.5 system-ui,'Segoe UI',Roboto,sans-serif}
+main{max-width:62rem;margin:0 auto;padding:2rem 1.25rem 3rem}h1{font-size:1.7rem;line-height:1.25;margin:0 0 .4rem}
+h2{font-size:1.15rem;margin:2.2rem 0 .3rem}p{margin:.3rem 0 .8rem;max-width:46rem}.soft{color:var(--soft)}
+figure{margin:.6rem 0 0;padding:.6rem .6rem .3rem;background:var(--panel);border:1px solid var(--line);border-radius:8px}
+svg{display:block;width:100%;height:auto}svg text{fill:var(--soft);font-size:12px;font-family:inherit}
+.grid{stroke:var(--line);stroke-width:1}.axis{stroke:var(--soft);stroke-width:1}.series{fill:none;stroke-width:1.8;stroke-linejoin:round}
+.stroke-a{stroke:var(--a)}.stroke-b{stroke:var(--b)}.fill-band{fill:var(--band)}.limit{stroke-dasharray:5 4;stroke-width:1.2}
+.dash{stroke-dasharray:7 4}.key{display:flex;flex-wrap:wrap;gap:.2rem 1.2rem;padding:.2rem .4rem .3rem;font-size:.86rem;color:var(--soft)}
+.key span::before{content:'';display:inline-block;width:1.4em;height:.25em;margin-right:.45em;vertical-align:middle;background:var(--c)}
+.key .wide::before{height:.8em}table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums;font-size:.95rem}
+th,td{text-align:left;padding:.3rem .9rem .3rem 0;border-bottom:1px solid var(--line)}td.number,th.number{text-align:right}
+.tag{display:inline-block;padding:0 .5em;border-radius:4px;color:#fff}footer{margin-top:2.5rem;font-size:.85rem;color:var(--soft)}
+.scroll{overflow-x:auto}@media print{main{padding:0;max-width:none}figure,table{break-inside:avoid}.tag{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
+";
+
+/// A page of that title and body.
+pub fn page(title: &str, body: &Markup) -> String {
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                title { (title) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                main {
+                    (body)
+                    footer { "Made by seepd " (env!("CARGO_PKG_VERSION")) "." }
+                }
+            }
+        }
+    }
+    .into_string()
+}

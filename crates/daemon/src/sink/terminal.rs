@@ -20,7 +20,8 @@ impl Colour {
         if is_terminal && !refused { Colour::On } else { Colour::Off }
     }
 
-    fn paint(self, flag: Flag, text: &str) -> String {
+    /// The text in the colour of a flag.
+    pub fn paint(self, flag: Flag, text: &str) -> String {
         let code = match flag {
             Flag::NoEstimate => "2",
             Flag::Healthy => "32",

@@ -1,7 +1,7 @@
 //! Samples from an MCAP log: JSON messages, one signal a message or many.
 
 use std::collections::BTreeMap;
-use std::fs::File;
+use std::io::{Read, Seek};
 
 use mcap::records::{Record, op};
 use seepd_signals::{Sample, Signal};
@@ -27,9 +27,9 @@ struct Channel {
 }
 
 /// See the [module](self).
-pub struct McapSource {
+pub struct McapSource<R> {
     name: String,
-    file: McapFile<File>,
+    file: McapFile<R>,
     mapping: Vec<(Signal, SignalMapping)>,
     channels: BTreeMap<u16, Channel>,
     picked: Picked,
@@ -40,12 +40,12 @@ pub struct McapSource {
     given: u64,
 }
 
-impl McapSource {
+impl<R: Read + Seek> McapSource<R> {
     /// Reads the magic bytes.
     ///
     /// # Errors
     /// [`Failure`] where the file cannot be read or is no MCAP file.
-    pub fn new(file: File, name: &str, mapping: Vec<(Signal, SignalMapping)>) -> Result<Self, Failure> {
+    pub fn new(file: R, name: &str, mapping: Vec<(Signal, SignalMapping)>) -> Result<Self, Failure> {
         let file = McapFile::new(file)
             .map_err(|error| Failure::data(format!("{name}: is cut short or no MCAP log: {error}")))?;
         Ok(McapSource {
@@ -125,7 +125,7 @@ impl McapSource {
     }
 }
 
-impl Source for McapSource {
+impl<R: Read + Seek> Source for McapSource<R> {
     fn next_sample(&mut self) -> Result<Option<Sample>, Failure> {
         loop {
             let record = self.file.next_record();

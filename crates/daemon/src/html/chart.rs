@@ -1,0 +1,270 @@
+//! Line charts as inline SVG.
+
+use std::fmt::Write;
+
+use maud::{Markup, html};
+
+/// Width and height of a chart in its own units.
+const WIDTH: f64 = 920.0;
+const HEIGHT: f64 = 300.0;
+/// Room for the axes' labels.
+const LEFT: f64 = 62.0;
+const RIGHT: f64 = 14.0;
+const TOP: f64 = 12.0;
+const BOTTOM: f64 = 42.0;
+
+/// How a value becomes a place on an axis.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Scale {
+    /// In proportion.
+    Linear,
+    /// In proportion, without numbers: limits name the values.
+    Named,
+    /// By its logarithm; values at or below the lower end stand on it.
+    Logarithmic,
+}
+
+/// An axis.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Axis {
+    /// What it shows, with the unit.
+    pub label: String,
+    /// Lower end.
+    pub from: f64,
+    /// Upper end.
+    pub to: f64,
+    /// Scale.
+    pub scale: Scale,
+}
+
+impl Axis {
+    /// A linear axis.
+    pub fn linear(label: &str, from: f64, to: f64) -> Self {
+        Axis { label: label.into(), from, to, scale: Scale::Linear }
+    }
+
+    /// A logarithmic axis; both ends must be positive.
+    pub fn logarithmic(label: &str, from: f64, to: f64) -> Self {
+        Axis { label: label.into(), from, to, scale: Scale::Logarithmic }
+    }
+
+    /// Where a value stands, 0 … 1.
+    fn share(&self, value: f64) -> f64 {
+        let share = match self.scale {
+            Scale::Linear | Scale::Named => (value - self.from) / (self.to - self.from),
+            Scale::Logarithmic => (value.max(self.from) / self.from).ln() / (self.to / self.from).ln(),
+        };
+        if share.is_finite() { share.clamp(0.0, 1.0) } else { 0.0 }
+    }
+
+    fn ticks(&self) -> Vec<f64> {
+        match self.scale {
+            Scale::Linear => linear_ticks(self.from, self.to),
+            Scale::Named => Vec::new(),
+            Scale::Logarithmic => logarithmic_ticks(self.from, self.to),
+        }
+    }
+}
+
+/// Round numbers, five to ten of them.
+fn linear_ticks(from: f64, to: f64) -> Vec<f64> {
+    let raw = (to - from) / 6.0;
+    if !(raw.is_finite() && raw > 0.0) {
+        return vec![from];
+    }
+    let power = 10f64.powf(raw.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|step| *step >= raw).unwrap_or(raw);
+    let first = (from / step).ceil() as i64;
+    (first..).map(|k| k as f64 * step).take_while(|tick| *tick <= to + 1e-9 * step).take(20).collect()
+}
+
+/// Powers of ten, with 3 between them.
+fn logarithmic_ticks(from: f64, to: f64) -> Vec<f64> {
+    let first = from.log10().floor() as i32;
+    let last = to.log10().ceil() as i32;
+    (first..=last)
+        .flat_map(|power| [1.0, 3.0].map(|m| m * 10f64.powi(power)))
+        .filter(|tick| *tick >= from * 0.999 && *tick <= to * 1.001)
+        .collect()
+}
+
+/// A tick's number without a tail of zeros or rounding.
+fn number(value: f64) -> String {
+    if value == 0.0 {
+        return "0".into();
+    }
+    let digits = (3 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
+    let text = format!("{value:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
+}
+
+/// What is drawn.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Layer {
+    /// A line through points; the class gives its colour.
+    Line {
+        /// CSS classes.
+        class: &'static str,
+        /// Points.
+        points: Vec<(f64, f64)>,
+    },
+    /// The area between two curves: x, lower, upper.
+    Band {
+        /// CSS classes.
+        class: &'static str,
+        /// Points.
+        points: Vec<(f64, f64, f64)>,
+    },
+    /// A horizontal line with a name at its right end.
+    Limit {
+        /// Place.
+        at: f64,
+        /// Name.
+        name: String,
+        /// CSS colour.
+        colour: &'static str,
+    },
+    /// A coloured stretch along the lower edge.
+    Stretch {
+        /// Start.
+        from: f64,
+        /// End.
+        to: f64,
+        /// CSS colour.
+        colour: String,
+        /// What it says when pointed at.
+        name: String,
+    },
+}
+
+/// A chart.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Chart {
+    /// What it shows, for readers that do not see it.
+    pub title: String,
+    /// Horizontal axis.
+    pub x: Axis,
+    /// Vertical axis.
+    pub y: Axis,
+    /// From back to front.
+    pub layers: Vec<Layer>,
+    /// Names of the layers: text, CSS colour, whether it is an area.
+    pub key: Vec<(String, &'static str, bool)>,
+}
+
+impl Chart {
+    fn px(&self, x: f64) -> f64 {
+        LEFT + self.x.share(x) * (WIDTH - LEFT - RIGHT)
+    }
+
+    fn py(&self, y: f64) -> f64 {
+        HEIGHT - BOTTOM - self.y.share(y) * (HEIGHT - TOP - BOTTOM)
+    }
+
+    /// The chart as a figure.
+    pub fn render(&self) -> Markup {
+        html! {
+            figure {
+                svg viewBox=(format!("0 0 {WIDTH} {HEIGHT}")) role="img" aria-label=(self.title) {
+                    (self.axes())
+                    @for layer in &self.layers { (self.layer(layer)) }
+                }
+                @if !self.key.is_empty() {
+                    div.key {
+                        @for (name, colour, area) in &self.key {
+                            span.wide[*area] style=(format!("--c:{colour}")) { (name) }
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn axes(&self) -> Markup {
+        let (bottom, right) = (HEIGHT - BOTTOM, WIDTH - RIGHT);
+        html! {
+            @for tick in self.y.ticks() {
+                @let y = self.py(tick);
+                line.grid x1=(LEFT) x2=(right) y1=(round(y)) y2=(round(y)) {}
+                text x=(LEFT - 8.0) y=(round(y + 4.0)) text-anchor="end" { (number(tick)) }
+            }
+            @for tick in self.x.ticks() {
+                @let x = self.px(tick);
+                line.axis x1=(round(x)) x2=(round(x)) y1=(bottom) y2=(bottom + 5.0) {}
+                text x=(round(x)) y=(bottom + 18.0) text-anchor="middle" { (number(tick)) }
+            }
+            line.axis x1=(LEFT) x2=(right) y1=(bottom) y2=(bottom) {}
+            text x=(0.5 * (LEFT + right)) y=(HEIGHT - 6.0) text-anchor="middle" { (self.x.label) }
+            text x="14" y=(0.5 * (TOP + bottom)) text-anchor="middle"
+                transform=(format!("rotate(-90 14 {})", 0.5 * (TOP + bottom))) { (self.y.label) }
+        }
+    }
+
+    fn layer(&self, layer: &Layer) -> Markup {
+        match layer {
+            Layer::Line { class, points } => html! {
+                path class=(format!("series {class}")) d=(self.path(points.iter().copied(), 'M')) {}
+            },
+            Layer::Band { class, points } => {
+                let mut d = self.path(points.iter().map(|(x, _, high)| (*x, *high)), 'M');
+                d += &self.path(points.iter().rev().map(|(x, low, _)| (*x, *low)), 'L');
+                html! { path class=(class) d=(d + "Z") {} }
+            }
+            Layer::Limit { at, name, colour } => {
+                let y = round(self.py(*at));
+                html! {
+                    line.limit x1=(LEFT) x2=(WIDTH - RIGHT) y1=(y) y2=(y) style=(format!("stroke:{colour}")) {}
+                    text x=(LEFT + 6.0) y=(y - 4.0) style=(format!("fill:{colour}")) { (name) }
+                }
+            }
+            Layer::Stretch { from, to, colour, name } => {
+                let (from, to) = (round(self.px(*from)), round(self.px(*to)));
+                html! {
+                    rect x=(from) width=((to - from).max(0.5)) y=(HEIGHT - BOTTOM - 9.0) height="9"
+                        style=(format!("fill:{colour}")) { title { (name) } }
+                }
+            }
+        }
+    }
+
+    fn path(&self, points: impl Iterator<Item = (f64, f64)>, first: char) -> String {
+        let mut d = String::new();
+        for (index, (x, y)) in points.enumerate() {
+            let command = if index == 0 { first } else { 'L' };
+            // Writing to a String does not fail.
+            let _ = write!(d, "{command}{:.1} {:.1}", self.px(x), self.py(y));
+        }
+        d
+    }
+}
+
+fn round(value: f64) -> f64 {
+    (value * 10.0).round() / 10.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_round_numbers() {
+        assert_eq!(linear_ticks(0.0, 10.0), [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]);
+        let names: Vec<String> = linear_ticks(-0.3, 0.3).into_iter().map(number).collect();
+        assert_eq!(names, ["-0.3", "-0.2", "-0.1", "0", "0.1", "0.2", "0.3"]);
+        let names: Vec<String> = logarithmic_ticks(0.01, 10.0).into_iter().map(number).collect();
+        assert_eq!(names, ["0.01", "0.03", "0.1", "0.3", "1", "3", "10"]);
+    }
+
+    #[test]
+    fn a_line_runs_from_corner_to_corner() {
+        let chart = Chart {
+            title: "t".into(),
+            x: Axis::linear("x", 0.0, 1.0),
+            y: Axis::logarithmic("y", 1.0, 100.0),
+            layers: vec![],
+            key: vec![],
+        };
+        let d = chart.path([(0.0, 1.0), (0.5, 10.0), (1.0, 1e9)].into_iter(), 'M');
+        assert_eq!(d, "M62.0 258.0L484.0 135.0L906.0 12.0");
+    }
+}

@@ -1,0 +1,71 @@
+//! The batched path gives the scalar path's numbers.
+
+use seepd_sim::batch::{Job, commands};
+use seepd_sim::cycle::Turn;
+use seepd_sim::noise::Noise;
+use seepd_sim::real::LANES;
+use seepd_sim::{Input, Machine, MachineSpec, PlantParameters, Schedule};
+
+const TICKS: u64 = 11_000;
+
+fn jobs(count: usize) -> Vec<Job> {
+    (0..count)
+        .map(|index| {
+            let mut noise = Noise::new(9, index as u64);
+            let mut spec = MachineSpec::default();
+            for info in PlantParameters::ALL.iter().filter(|info| info.key != "leak_area_m2") {
+                if let Some(value) = spec.plant.get_mut(info.key) {
+                    *value *= noise.factor(0.05);
+                }
+            }
+            for (effect, high) in [
+                ("valve_deadband.half_width", 0.05),
+                ("command_delay.delay_s", 0.01),
+                ("coulomb_friction.force_n", 1e3),
+                ("external_leak.rod_m3_per_s_pa", 1e-12),
+            ] {
+                // Lanes with and without each effect stand side by side.
+                if noise.uniform(0.0, 1.0) < 0.6 {
+                    spec.set_effect(&format!("{effect}={}", noise.uniform(0.0, high))).unwrap();
+                }
+            }
+            let turns = vec![
+                Turn { load_factor: noise.factor(0.2), stretch: noise.factor(0.05), ..Turn::with_leak(1e-5 * noise.uniform(0.0, 1.0)) },
+                Turn { pause_s: 0.1, ..Turn::with_leak(1e-6) },
+            ];
+            Job { spec, turns, skip_ticks: 0, record_ticks: TICKS }
+        })
+        .collect()
+}
+
+fn scalar(job: &Job) -> Vec<f64> {
+    let machine = Machine::<f64>::new(&[&job.spec]);
+    let mut state = machine.start();
+    Schedule::new(&job.spec.cycle, job.spec.controller.period_s, job.turns.clone())
+        .take(TICKS as usize)
+        .map(|instant| machine.tick(&mut state, &Input::gather(&[instant])).command)
+        .collect()
+}
+
+/// Asked for: 1e-9 relative. Given: the same bits, as no operation is contracted or reordered.
+#[test]
+fn property_lanes_equal_the_scalar_machine_bit_for_bit() {
+    let jobs = jobs(2 * LANES + 3);
+    let batched = commands(&jobs, |_, commands| commands.to_vec());
+    assert_eq!(batched.len(), jobs.len());
+    for (job, batched) in jobs.iter().zip(&batched) {
+        for (tick, (a, b)) in scalar(job).iter().zip(batched).enumerate() {
+            assert_eq!(a.to_bits(), b.to_bits(), "tick {tick}: {a} {b}");
+        }
+    }
+}
+
+#[test]
+fn property_a_lane_alone_equals_itself_in_a_full_batch() {
+    let jobs = jobs(LANES);
+    let full = commands(&jobs, |_, commands| commands.to_vec());
+    for (index, job) in jobs.iter().enumerate() {
+        let alone = commands(std::slice::from_ref(job), |_, commands| commands.to_vec());
+        assert_eq!(alone[0], full[index]);
+    }
+}

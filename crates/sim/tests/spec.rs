@@ -1,0 +1,56 @@
+//! `plant.toml`: what is read, and how mistakes are answered.
+
+use seepd_sim::{MachineSpec, SpecError};
+
+fn refusal(text: &str) -> String {
+    MachineSpec::from_toml(text).unwrap_err().to_string()
+}
+
+#[test]
+fn property_written_default_reads_back_the_same() {
+    let default = MachineSpec::default();
+    assert_eq!(MachineSpec::from_toml(&default.to_toml().unwrap()).unwrap(), default);
+    assert_eq!(MachineSpec::from_toml("").unwrap(), default);
+}
+
+#[test]
+fn symbols_of_the_equations_are_keys_too() {
+    let spec = MachineSpec::from_toml("[plant]\nk_v = 9e-7\nM = 300.0\n[effects.coulomb_friction]\nforce_n = 500\n").unwrap();
+    assert_eq!((spec.plant.valve_m3_per_s_sqrt_pa, spec.plant.mass_kg), (9e-7, 300.0));
+    assert_eq!(spec.effects["coulomb_friction"]["force_n"], 500.0);
+}
+
+#[test]
+fn wrong_key_is_answered_with_line_and_nearest_key() {
+    assert_eq!(
+        refusal("[plant]\nmass_kg = 250.0\nbulk_modulus = 1e9\n"),
+        "line 3: unknown key `bulk_modulus`; did you mean `bulk_modulus_pa`?"
+    );
+    assert_eq!(
+        refusal("[effects.coulom_friction]\nforce_n = 1\n"),
+        "line 1: effects: unknown key `coulom_friction`; did you mean `coulomb_friction`?"
+    );
+    assert!(refusal("[effects.coulomb_friction]\nforce = 1\n").contains("did you mean `force_n`?"));
+}
+
+#[test]
+fn impossible_values_are_answered_with_key_and_bound() {
+    assert_eq!(
+        refusal("[plant]\ninlet_volume_m3 = -4e-4\n"),
+        "line 2: `plant.inlet_volume_m3` is -0.0004; it must be positive, in m3"
+    );
+    assert!(refusal("[plant]\nmass_kg = nan\n").contains("`plant.mass_kg` is NaN"));
+    assert!(refusal("[effects.valve_deadband]\nhalf_width = 0.5\n").contains("it must lie in 0 … 0.15"));
+    assert!(refusal("[cycle]\nmoves = []\n").contains("no duty cycle"));
+    assert!(refusal("[[cycle.moves]]\nname = \"a\"\nfrom_s = 3.0\nto_s = 2.0\nto_m = 0.1\n").contains("cycle.moves[0].to_s"));
+}
+
+#[test]
+fn unstable_step_is_refused_with_the_steps_that_it_needs() {
+    let error = MachineSpec::from_toml("[plant]\ninlet_volume_m3 = 1e-4\n").unwrap_err();
+    let SpecError::UnstableStep { steps, product, needed, .. } = error else { panic!("{error}") };
+    assert_eq!(steps, 10);
+    assert!(product > 2.78);
+    let text = format!("[plant]\ninlet_volume_m3 = 1e-4\n[controller]\nsteps_per_period = {needed}\n");
+    assert!(MachineSpec::from_toml(&text).is_ok());
+}
