@@ -129,8 +129,27 @@ pub struct CycleState<B> {
     runs: [(i64, i64); REMEMBERED_RUNS],
     run_start: i64,
     starts: StartMarks,
-    seen: [(i64, u64); REMEMBERED_CYCLES],
+    seen: [SeenCycle; REMEMBERED_CYCLES],
     seen_count: usize,
+}
+
+/// What a repeated cycle is recognised by.
+#[derive(Debug, Clone, Copy, Default)]
+struct SeenCycle {
+    start_ns: i64,
+    mean: f64,
+    standard_deviation: f64,
+}
+
+impl SeenCycle {
+    /// The same time and the same command: the log holds this cycle twice. The filter starts anew where the log
+    /// jumps back, which moves the moments by less than 2e-5; the noise of two different cycles moves them as
+    /// much, but a clock that is set back hardly ever hits the start to 5 ms as well.
+    fn is_same(&self, other: &SeenCycle) -> bool {
+        self.start_ns.abs_diff(other.start_ns) < 5_000_000
+            && libm::fabs(self.mean - other.mean) < 2e-5
+            && libm::fabs(self.standard_deviation - other.standard_deviation) < 2e-5
+    }
 }
 
 /// Starts of cycles as the demand or a start-of-cycle signal tells them.
@@ -164,7 +183,7 @@ impl<B: AsRef<[f32]> + AsMut<[f32]>> CycleState<B> {
             runs: [(0, 0); REMEMBERED_RUNS],
             run_start: 0,
             starts: StartMarks::default(),
-            seen: [(0, 0); REMEMBERED_CYCLES],
+            seen: [SeenCycle::default(); REMEMBERED_CYCLES],
             seen_count: 0,
         }
     }
@@ -253,8 +272,12 @@ impl<'m> CycleReader<'m> {
             state.open = None;
             self.close(state, &span, sink);
         }
-        self.reject_orphan(state, sink);
         let spoilt = state.open.is_some() || state.segment.is_amid_cycle(&self.definition, state.next);
+        if state.orphan.is_some_and(|(end, _)| spoilt && state.next - end < self.definition.cycle_samples() as i64) {
+            // A bump within the cycle that is being spoilt.
+            state.orphan = None;
+        }
+        self.reject_orphan(state, sink);
         if spoilt {
             let start = state.open.map_or(state.view().oldest(), |open| open.start);
             self.reject(state, start, state.next, reason, sink);
@@ -368,7 +391,10 @@ impl<'m> CycleReader<'m> {
             span.start = mark;
         }
         match state.orphan {
-            Some((end, _)) if end > span.start => state.orphan = None,
+            Some((end, reason)) if end > span.start => {
+                state.orphan = None;
+                state.pending.get_or_insert(reason);
+            }
             _ => self.reject_orphan(state, sink),
         }
         let missing = state.view().oldest() - span.start;
@@ -475,12 +501,12 @@ impl<'m> CycleReader<'m> {
         if self.is_stuck(state, span) {
             return Some(Reason::Stuck);
         }
-        // The same start and the same mean to the bit: the log holds this cycle twice.
-        let identity = (start_ns, statistics.moments.mean.to_bits());
-        if state.seen.iter().take(state.seen_count.min(REMEMBERED_CYCLES)).any(|seen| *seen == identity) {
+        let moments = &statistics.moments;
+        let cycle = SeenCycle { start_ns, mean: moments.mean, standard_deviation: moments.standard_deviation };
+        if state.seen.iter().take(state.seen_count.min(REMEMBERED_CYCLES)).any(|seen| seen.is_same(&cycle)) {
             return Some(Reason::Duplicate);
         }
-        state.seen[state.seen_count % REMEMBERED_CYCLES] = identity;
+        state.seen[state.seen_count % REMEMBERED_CYCLES] = cycle;
         state.seen_count += 1;
         None
     }

@@ -43,3 +43,94 @@ fn second_cycle(leak_area_m2: f64) -> Vec<[f64; 9]> {
         .skip(10_000)
         .collect()
 }
+
+/// A stiff solver of another family and author (variable-order BDF, diffsol), with the equations written out here once
+/// more, in MPa and cm: an open-loop extension with a load step, to 1e-5 of each state's range.
+#[test]
+fn reference_stiff_solver_within_1e_5_of_range() {
+    use diffsol::{NalgebraLU, NalgebraMat, OdeBuilder, OdeSolverMethod};
+    use seepd_sim::plant::{Drive, Plant};
+    use seepd_sim::{PlantParameters, State};
+
+    let p = PlantParameters::default();
+    let plant = Plant::<f64>::new(&[&p]);
+    let (u, leak, dt) = (0.2, 1e-6, 1e-4);
+    let load = |t: f64| -2e3 - 8e3 * t;
+    // From a steady extension: the step into it from rest is sharper than a controller ever makes it.
+    let steady = Drive { u, load: load(0.0), load_end: load(0.0), a_leak: leak };
+    let start = (0..15_000).fold(plant.rest(0.12, load(0.0)), |state, _| plant.step(&state, &steady, 1e-5)).to_array();
+    let scale = [1e6, 1e6, 1e6, 1e6, 1e-2, 1e-2];
+    let times: Vec<f64> = (1..=40).map(|k| f64::from(k) * 0.01).collect();
+
+    let parameters = p.clone();
+    let rates = move |y: &[f64; 6], t: f64| rates_again(&parameters, y, u, load(t), leak, &scale);
+    let jacobian = rates.clone();
+    let problem = OdeBuilder::<NalgebraMat<f64>>::new()
+        .rtol(1e-10)
+        .atol([1e-10; 6])
+        .rhs_implicit(
+            move |x, _p, t, y| {
+                let rate = rates(&std::array::from_fn(|i| x[i]), t);
+                (0..6).for_each(|i| y[i] = rate[i]);
+            },
+            move |x, _p, t, direction, y| {
+                let moved = |h: f64| jacobian(&std::array::from_fn(|i| x[i] + h * direction[i]), t);
+                let (ahead, behind) = (moved(1e-6), moved(-1e-6));
+                (0..6).for_each(|i| y[i] = (ahead[i] - behind[i]) / 2e-6);
+            },
+        )
+        .init(move |_p, _t, y| (0..6).for_each(|i| y[i] = start[i] / scale[i]), 6)
+        .build()
+        .unwrap();
+    let mut solver = problem.bdf::<NalgebraLU<f64>>().unwrap();
+    let (theirs, _) = solver.solve_dense(&times).unwrap();
+
+    let mut state = State::from_array(start);
+    let mut ours = Vec::new();
+    for step in 0..4000 {
+        let t = f64::from(step) * dt;
+        let drive = Drive { u, load: load(t), load_end: load(t + dt), a_leak: leak };
+        state = plant.step(&state, &drive, dt);
+        if (step + 1) % 100 == 0 {
+            ours.push(state.to_array());
+        }
+    }
+    for i in 0..6 {
+        let column = |k: usize| theirs[(i, k)] * scale[i];
+        let segment = (0..40).map(column).chain([start[i]]);
+        let (low, high) = segment.fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(v), b.max(v)));
+        let worst = (0..40).map(|k| (column(k) - ours[k][i]).abs()).fold(0.0, f64::max);
+        assert!(worst <= 1e-5 * (high - low), "state {i}: {worst} of {}", high - low);
+    }
+}
+
+/// The plant's equations again, in scaled states.
+fn rates_again(
+    p: &seepd_sim::PlantParameters,
+    y: &[f64; 6],
+    u: f64,
+    load: f64,
+    leak: f64,
+    scale: &[f64; 6],
+) -> [f64; 6] {
+    let [p_s, p_3, p_1, p_2, x, v]: [f64; 6] = std::array::from_fn(|i| y[i] * scale[i]);
+    let root = |k: f64, dp: f64| k * dp / (dp.powi(2) + p.transition_pressure_pa.powi(2)).powf(0.25);
+    let k = p.valve_m3_per_s_sqrt_pa * u;
+    let (q_line, q_1, q_2) = (root(p.line_m3_per_s_sqrt_pa, p_s - p_3), root(k, p_3 - p_1), -root(k, p_2 - p.return_pressure_pa));
+    let q_leak = root(p.discharge_coefficient * leak * (2.0 / p.density_kg_per_m3).sqrt(), p_1 - p_2)
+        + (p_1 - p_2) / p.seal_resistance_pa_s_per_m3;
+    let q_32 = (p_3 - p_2) / p.valve_rod_resistance_pa_s_per_m3;
+    let q_3r = (p_3 - p.return_pressure_pa) / p.valve_return_resistance_pa_s_per_m3;
+    let relief = ((p_s - p.relief_pressure_pa) / p.relief_resistance_pa_s_per_m3).max(0.0);
+    let beta = p.bulk_modulus_pa;
+    let rates = [
+        beta / p.supply_volume_m3 * (p.pump_flow_m3_per_s - q_line - relief),
+        beta / p.inlet_volume_m3 * (q_line - q_1 - q_3r - q_32),
+        beta / (p.cap_dead_volume_m3 + p.cap_area_m2 * x) * (q_1 - p.cap_area_m2 * v - q_leak),
+        beta / (p.rod_dead_volume_m3 + p.annulus_area_m2 * (p.stroke_m - x))
+            * (q_2 + p.annulus_area_m2 * v + q_leak + q_32),
+        v,
+        (p.cap_area_m2 * p_1 - p.annulus_area_m2 * p_2 - p.viscous_friction_n_s_per_m * v + load) / p.mass_kg,
+    ];
+    std::array::from_fn(|i| rates[i] / scale[i])
+}
