@@ -47,16 +47,19 @@ impl AlarmConfig {
     /// # Errors
     /// One line that names the key.
     pub fn check(&self) -> Result<(), String> {
-        let ascending = 0.0 < self.watch_lpm && self.watch_lpm < self.leak_lpm && self.leak_lpm < self.severe_lpm;
+        let ascending =
+            0.0 < self.watch_lpm && self.watch_lpm < self.leak_lpm && self.leak_lpm < self.severe_lpm;
         if !ascending || !self.severe_lpm.is_finite() {
             return Err("alarm: watch_lpm, leak_lpm and severe_lpm must be positive and ascend".into());
         }
         if !(self.clear_share > 0.0 && self.clear_share <= 1.0) {
             return Err(format!("alarm.clear_share is {}; it must lie in 0 … 1", self.clear_share));
         }
-        for (key, value) in
-            [("raise_cycles", self.raise_cycles), ("clear_cycles", self.clear_cycles), ("lost_cycles", self.lost_cycles)]
-        {
+        for (key, value) in [
+            ("raise_cycles", self.raise_cycles),
+            ("clear_cycles", self.clear_cycles),
+            ("lost_cycles", self.lost_cycles),
+        ] {
             if !(1..=100).contains(&value) {
                 return Err(format!("alarm.{key} is {value}; it must lie in 1 … 100"));
             }
@@ -177,20 +180,23 @@ impl Alarm {
         self.highest = self.highest.max(self.level);
         let evidence = match evidence {
             Some(evidence) => evidence,
-            None if regained => {
-                Evidence { cycles: 1, lowest_lpm: Some(flow_lpm), highest_lpm: Some(flow_lpm), threshold_lpm: None, reason: None }
-            }
+            None if regained => Evidence {
+                cycles: 1,
+                lowest_lpm: Some(flow_lpm),
+                highest_lpm: Some(flow_lpm),
+                threshold_lpm: None,
+                reason: None,
+            },
             None => return None,
         };
         Some(Change { from, to: self.level, evidence })
     }
 
     fn raised(&mut self, config: &AlarmConfig) -> Option<Evidence> {
-        let (index, flag) = RISING
-            .into_iter()
-            .enumerate()
-            .rev()
-            .find(|(index, flag)| *flag > self.level && self.above[*index].cycles >= config.raise_cycles)?;
+        let (index, flag) =
+            RISING.into_iter().enumerate().rev().find(|(index, flag)| {
+                *flag > self.level && self.above[*index].cycles >= config.raise_cycles
+            })?;
         self.level = flag;
         Some(self.above[index].evidence(config.threshold_lpm(flag)))
     }
@@ -242,7 +248,9 @@ mod tests {
         let changes = flows
             .iter()
             .enumerate()
-            .filter_map(|(index, flow)| alarm.estimated(&config, *flow).map(|change| (index, change.from, change.to)))
+            .filter_map(|(index, flow)| {
+                alarm.estimated(&config, *flow).map(|change| (index, change.from, change.to))
+            })
             .collect();
         (alarm, changes)
     }
@@ -282,7 +290,10 @@ mod tests {
         assert_eq!(alarm.rejected(&config, "gap"), None);
         assert_eq!(alarm.rejected(&config, "gap"), None);
         let change = alarm.rejected(&config, "gap").unwrap();
-        assert_eq!((change.from, change.to, change.evidence.reason), (Flag::Leak, Flag::NoEstimate, Some("gap")));
+        assert_eq!(
+            (change.from, change.to, change.evidence.reason),
+            (Flag::Leak, Flag::NoEstimate, Some("gap"))
+        );
         let change = alarm.estimated(&config, 0.7).unwrap();
         assert_eq!((change.from, change.to), (Flag::NoEstimate, Flag::Leak));
     }

@@ -12,9 +12,11 @@ use crate::failure::{Code, Failure};
 /// Detects and sizes the oil leak past a hydraulic cylinder's piston seal from the PID valve command alone.
 #[derive(Debug, Parser)]
 #[command(name = "seepd", version, about, propagate_version = true, max_term_width = 100)]
-#[command(after_help = "Exit codes: 0 good, 1 a finding (with --fail-on-fault), 64 usage, 65 unreadable data, \
+#[command(
+    after_help = "Exit codes: 0 good, 1 a finding (with --fail-on-fault), 64 usage, 65 unreadable data, \
                         66 no input, 70 internal, 74 input/output, 78 configuration.\n\n\
-                        Example: seepd replay press-1.mcap")]
+                        Example: seepd replay press-1.mcap"
+)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,

@@ -62,7 +62,13 @@ impl Default for Config {
 
 impl Default for SignalMapping {
     fn default() -> Self {
-        SignalMapping { topic: String::new(), field: String::new(), scale: 1.0, offset: 0.0, time: String::new() }
+        SignalMapping {
+            topic: String::new(),
+            field: String::new(),
+            scale: 1.0,
+            offset: 0.0,
+            time: String::new(),
+        }
     }
 }
 
@@ -87,11 +93,17 @@ impl Config {
     pub fn parse(text: &str) -> Result<Self, String> {
         let config: Config = parse_toml(text).map_err(|error| error.to_string())?;
         if !(1e5..=1e8).contains(&config.reference_dp_pa) {
-            return Err(format!("reference_dp_pa is {}; it must lie in 1e5 … 1e8 Pa", config.reference_dp_pa));
+            return Err(format!(
+                "reference_dp_pa is {}; it must lie in 1e5 … 1e8 Pa",
+                config.reference_dp_pa
+            ));
         }
         for (signal, mapping) in &config.signals {
             if !mapping.scale.is_finite() || mapping.scale == 0.0 || !mapping.offset.is_finite() {
-                return Err(format!("signals.{}: scale must be finite and not 0, offset finite", signal.name()));
+                return Err(format!(
+                    "signals.{}: scale must be finite and not 0, offset finite",
+                    signal.name()
+                ));
             }
         }
         config.alarm.check()?;
@@ -123,8 +135,9 @@ impl Config {
     pub fn load_model(&self) -> Result<Model, Failure> {
         match &self.model {
             Some(path) => load_model(path),
-            None => Model::from_json(crate::EMBEDDED_MODEL)
-                .map_err(|error| Failure::new(Code::Internal, format!("the model that the program brings: {error}"))),
+            None => Model::from_json(crate::EMBEDDED_MODEL).map_err(|error| {
+                Failure::new(Code::Internal, format!("the model that the program brings: {error}"))
+            }),
         }
     }
 }

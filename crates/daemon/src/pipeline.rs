@@ -58,7 +58,7 @@ impl<'m> Pipeline<'m> {
     /// Starts with an empty memory.
     pub fn new(config: PipelineConfig<'m>) -> Self {
         let reader = config.model.reader(config.projections);
-        let ring = vec![0.0; reader.definition.ring_samples()];
+        let ring = vec![0.0; reader.definition().ring_samples()];
         Pipeline {
             config,
             reader,
@@ -86,7 +86,7 @@ impl<'m> Pipeline<'m> {
         self.progress.newest_ns = sample.time_ns;
         let Pipeline { config, reader, state, progress } = self;
         reader.push(state, sample, &mut |outcome| progress.take(config, &outcome, sink));
-        let patience_ns = PATIENCE_PERIODS * reader.definition.period_s * 1e9;
+        let patience_ns = PATIENCE_PERIODS * reader.definition().period_s * 1e9;
         let silent_ns = sample.time_ns.saturating_sub(progress.last_cycle_ns);
         if silent_ns as f64 > patience_ns {
             self.lose_patience(sink);
@@ -106,7 +106,7 @@ impl<'m> Pipeline<'m> {
     /// Why there have been no cycles for long.
     fn silence_reason(&self) -> &'static str {
         let counts = self.state.counts();
-        let long = self.reader.definition.cycle_samples() as i64;
+        let long = self.reader.definition().cycle_samples() as i64;
         if self.state.wrong_rate_hz().is_some() {
             "wrong_rate"
         } else if counts.not_a_number * 2 > counts.samples {
@@ -166,7 +166,9 @@ impl<'m> Pipeline<'m> {
             leak_flow_lpm: area.map(|area| self.config.flow_lpm(area)),
             reference_dp_pa: self.config.reference_dp_pa,
             highest_flag: progress.alarm.highest(),
-            duration_s: progress.first_ns.map_or(0.0, |first| (progress.newest_ns.saturating_sub(first)) as f64 / 1e9),
+            duration_s: progress
+                .first_ns
+                .map_or(0.0, |first| (progress.newest_ns.saturating_sub(first)) as f64 / 1e9),
         }
     }
 }
@@ -183,7 +185,12 @@ impl Progress {
         time_ns.saturating_sub(self.first_ns.unwrap_or(0)) as f64 / 1e9
     }
 
-    fn take(&mut self, config: &PipelineConfig<'_>, outcome: &Outcome<'_>, sink: &mut impl FnMut(&Event<'_>)) {
+    fn take(
+        &mut self,
+        config: &PipelineConfig<'_>,
+        outcome: &Outcome<'_>,
+        sink: &mut impl FnMut(&Event<'_>),
+    ) {
         let cycle = self.cycle;
         let (start_ns, end_ns) = match outcome {
             Outcome::Valid(valid) => (valid.start_ns, valid.end_ns),
@@ -215,7 +222,8 @@ impl Progress {
                 line.interval90_m2 = Some(estimate.interval);
                 line.leak_flow_lpm = Some(flow_lpm);
                 line.flag = self.alarm.flag();
-                line.features = Some(FeatureValues { names: config.model.feature_names(), values: valid.features });
+                line.features =
+                    Some(FeatureValues { names: config.model.feature_names(), values: valid.features });
                 change
             }
             Outcome::Rejected(rejected) => {

@@ -14,7 +14,8 @@ fn main() {
 
 #[divan::bench(sample_count = 20)]
 fn filter_and_all_features(bencher: divan::Bencher<'_, '_>) {
-    let model = Model::from_json(include_bytes!("../../daemon/assets/model.json")).expect("the embedded model");
+    let model =
+        Model::from_json(include_bytes!("../../daemon/assets/model.json")).expect("the embedded model");
     let projections = model.projections();
     let reader = model.reader(&projections);
     let spec = MachineSpec::default();
@@ -30,7 +31,7 @@ fn filter_and_all_features(bencher: divan::Bencher<'_, '_>) {
         })
         .collect();
     bencher.counter(ItemsCount::new(samples.len())).bench_local(|| {
-        let mut state = CycleState::new(vec![0.0f32; reader.definition.ring_samples()]);
+        let mut state = CycleState::new(vec![0.0f32; reader.definition().ring_samples()]);
         let mut cycles = 0;
         for sample in &samples {
             reader.push(&mut state, sample, &mut |_| cycles += 1);

@@ -119,18 +119,19 @@ impl Feature {
             Feature::PhaseSlope(index) => phase(index).slope_per_s,
             Feature::PhaseRelative(index) if s.stroke_scale > 0.0 => phase(index).mean / s.stroke_scale,
             Feature::PhaseRelative(_) => 0.0,
-            Feature::Projection(index) => definition.projections.get(usize::from(index)).map_or(0.0, |projection| {
-                let terms = s.bins().iter().zip(projection.mean).zip(projection.loading);
-                terms.map(|((bin, mean), loading)| f64::from(bin - mean) * f64::from(*loading)).sum()
-            }),
+            Feature::Projection(index) => {
+                definition.projections.get(usize::from(index)).map_or(0.0, |projection| {
+                    let terms = s.bins().iter().zip(projection.mean).zip(projection.loading);
+                    terms.map(|((bin, mean), loading)| f64::from(bin - mean) * f64::from(*loading)).sum()
+                })
+            }
         }
     }
 }
 
 fn mean_absolute(statistics: &CycleStatistics) -> f64 {
-    let (sum, count) = statistics
-        .phases
-        .iter()
-        .fold((0.0, 0.0), |(sum, count), phase| (sum + phase.mean_absolute * phase.count, count + phase.count));
+    let (sum, count) = statistics.phases.iter().fold((0.0, 0.0), |(sum, count), phase| {
+        (sum + phase.mean_absolute * phase.count, count + phase.count)
+    });
     if count > 0.0 { sum / count } else { 0.0 }
 }

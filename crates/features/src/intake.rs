@@ -103,7 +103,7 @@ impl IntakeState {
             return self.restart(time_ns, command, Reason::OutOfOrder);
         }
         let early_ns = time_ns as f64 - self.grid_ns - period_ns;
-        let missing = if early_ns > (0.75 * period_ns).max(4.0 * self.jitter_ns) {
+        let missing = if early_ns > 0.75 * period_ns && early_ns > 4.0 * self.jitter_ns {
             libm::round(early_ns / period_ns).max(1.0) as i64
         } else {
             0
@@ -115,7 +115,7 @@ impl IntakeState {
         }
         counts.bridged += missing as u64;
         let off_ns = early_ns - missing as f64 * period_ns;
-        self.jitter_ns += 0.02 * (libm::fabs(off_ns) - self.jitter_ns);
+        self.jitter_ns += 0.02 * (off_ns.abs() - self.jitter_ns);
         self.grid_ns += (missing + 1) as f64 * period_ns + 0.05 * off_ns;
         Verdict::Use { command, bridged: missing }
     }
@@ -142,12 +142,12 @@ impl IntakeState {
     fn judge_rate(&mut self, time_ns: i64, since_ns: f64, period_ns: f64) {
         let window = &mut self.window;
         window.intervals += 1;
-        window.regular += u32::from(libm::fabs(since_ns / period_ns - 1.0) < 0.45);
+        window.regular += u32::from((since_ns - period_ns).abs() < 0.45 * period_ns);
         if window.intervals < RATE_WINDOW {
             return;
         }
         let mean_ns = time_ns.saturating_sub(window.start_ns) as f64 / f64::from(window.intervals);
-        let wrong = window.regular * 2 < window.intervals && libm::fabs(mean_ns / period_ns - 1.0) > 0.1;
+        let wrong = window.regular * 2 < window.intervals && (mean_ns / period_ns - 1.0).abs() > 0.1;
         self.wrong_rate_hz = wrong.then_some(1e9 / mean_ns);
         *window = RateWindow { start_ns: time_ns, ..RateWindow::default() };
     }
@@ -159,7 +159,7 @@ fn unusable(counts: &mut Counts, command: f64) -> Option<Reason> {
         counts.not_a_number += 1;
         return Some(Reason::NotANumber);
     }
-    if libm::fabs(command) > COMMAND_LIMIT {
+    if command.abs() > COMMAND_LIMIT {
         counts.out_of_range += 1;
         return Some(Reason::OutOfRange);
     }

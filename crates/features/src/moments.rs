@@ -4,63 +4,62 @@
 /// are merged by the pairwise update of Pébay, "Formulas for robust, one-pass parallel computation of
 /// covariances and arbitrary-order statistical moments", SAND2008-6212 (2008), equations (1.1)–(1.5): as
 /// stable as the update sample by sample, without its division a sample.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Moments {
     count: f64,
     mean: f64,
     m2: f64,
     m3: f64,
     m4: f64,
-    block: Block,
+    block: [f64; BLOCK_SAMPLES],
+    filled: usize,
 }
 
-/// Power sums around a pivot.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-struct Block {
-    count: u32,
-    pivot: f64,
-    s1: f64,
-    s2: f64,
-    s3: f64,
-    s4: f64,
-}
+const BLOCK_SAMPLES: usize = 64;
+/// Sums that run side by side within a block, so that no addition waits for the one before.
+const ABREAST: usize = 4;
 
-const BLOCK_SAMPLES: u32 = 64;
+impl Default for Moments {
+    fn default() -> Self {
+        Moments { count: 0.0, mean: 0.0, m2: 0.0, m3: 0.0, m4: 0.0, block: [0.0; BLOCK_SAMPLES], filled: 0 }
+    }
+}
 
 impl Moments {
     /// Takes a sample.
     #[inline]
     pub fn push(&mut self, value: f64) {
-        let block = &mut self.block;
-        if block.count == 0 {
-            block.pivot = value;
-        }
-        let d = value - block.pivot;
-        let d2 = d * d;
-        block.count += 1;
-        block.s1 += d;
-        block.s2 += d2;
-        block.s3 += d2 * d;
-        block.s4 += d2 * d2;
-        if block.count == BLOCK_SAMPLES {
+        self.block[self.filled % BLOCK_SAMPLES] = value;
+        self.filled += 1;
+        if self.filled == BLOCK_SAMPLES {
             self.merge_block();
         }
     }
 
     fn merge_block(&mut self) {
-        let block = self.block;
-        self.block = Block::default();
-        if block.count == 0 {
-            return;
+        let block = self.block.get(..self.filled).unwrap_or(&self.block);
+        let Some(pivot) = block.first().copied() else { return };
+        let n = block.len() as f64;
+        let mut sums = [[0.0; ABREAST]; 4];
+        for values in block.chunks(ABREAST) {
+            for (lane, value) in values.iter().enumerate() {
+                let d = value - pivot;
+                let d2 = d * d;
+                sums[0][lane] += d;
+                sums[1][lane] += d2;
+                sums[2][lane] += d2 * d;
+                sums[3][lane] += d2 * d2;
+            }
         }
-        let n = f64::from(block.count);
-        let offset = block.s1 / n;
+        let [s1, s2, s3, s4] = sums.map(|[a, b, c, d]| (a + b) + (c + d));
+        let offset = s1 / n;
         // Central moments of the block from its sums around the pivot.
-        let m2 = block.s2 - n * offset * offset;
-        let m3 = block.s3 - 3.0 * offset * block.s2 + 2.0 * n * offset * offset * offset;
         let o2 = offset * offset;
-        let m4 = block.s4 - 4.0 * offset * block.s3 + 6.0 * o2 * block.s2 - 3.0 * n * o2 * o2;
-        self.merge(n, block.pivot + offset, m2, m3, m4);
+        let m2 = s2 - n * o2;
+        let m3 = s3 - 3.0 * offset * s2 + 2.0 * n * o2 * offset;
+        let m4 = s4 - 4.0 * offset * s3 + 6.0 * o2 * s2 - 3.0 * n * o2 * o2;
+        self.filled = 0;
+        self.merge(n, pivot + offset, m2, m3, m4);
     }
 
     fn merge(&mut self, n_b: f64, mean_b: f64, m2_b: f64, m3_b: f64, m4_b: f64) {

@@ -81,12 +81,13 @@ pub enum Outcome<'a> {
 /// Configuration: the filter, the cycle, and which features are wanted.
 #[derive(Debug, Clone, Copy)]
 pub struct CycleReader<'m> {
-    /// Filter; `None` takes the command as it is.
-    pub filter: Option<Kalman>,
-    /// The duty cycle.
-    pub definition: CycleDefinition<'m>,
-    /// Features in the order in which they are wanted, at most [`MAX_FEATURES`].
-    pub features: &'m [Feature],
+    filter: Option<Kalman>,
+    definition: CycleDefinition<'m>,
+    features: &'m [Feature],
+    /// Sample period, ns.
+    period_ns: f64,
+    /// Samples after which a command that stands still in a stroke is stuck.
+    stuck_samples: i64,
 }
 
 /// Most features of a cycle.
@@ -147,8 +148,8 @@ impl SeenCycle {
     /// much, but a clock that is set back hardly ever hits the start to 5 ms as well.
     fn is_same(&self, other: &SeenCycle) -> bool {
         self.start_ns.abs_diff(other.start_ns) < 5_000_000
-            && libm::fabs(self.mean - other.mean) < 2e-5
-            && libm::fabs(self.standard_deviation - other.standard_deviation) < 2e-5
+            && (self.mean - other.mean).abs() < 2e-5
+            && (self.standard_deviation - other.standard_deviation).abs() < 2e-5
     }
 }
 
@@ -213,8 +214,21 @@ impl<B: AsRef<[f32]> + AsMut<[f32]>> CycleState<B> {
 }
 
 impl<'m> CycleReader<'m> {
-    fn period_ns(&self) -> f64 {
-        1e9 / self.definition.sample_rate_hz
+    /// A reader with that filter (`None` takes the command as it is) for that duty cycle, giving those features in
+    /// that order, at most [`MAX_FEATURES`].
+    pub fn new(filter: Option<Kalman>, definition: CycleDefinition<'m>, features: &'m [Feature]) -> Self {
+        CycleReader {
+            filter,
+            definition,
+            features,
+            period_ns: 1e9 / definition.sample_rate_hz,
+            stuck_samples: (STUCK_SHARE * definition.period_s * definition.sample_rate_hz) as i64,
+        }
+    }
+
+    /// The duty cycle.
+    pub fn definition(&self) -> &CycleDefinition<'m> {
+        &self.definition
     }
 
     /// Samples that a cycle's first or last hold may lack, 20 ms: a log that begins or ends with a cycle may miss it
@@ -231,7 +245,7 @@ impl<'m> CycleReader<'m> {
         sample: &Sample,
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
-        match state.intake.judge(&mut state.counts, sample, self.period_ns()) {
+        match state.intake.judge(&mut state.counts, sample, self.period_ns) {
             Verdict::Drop => return,
             Verdict::Use { command, bridged } => {
                 for _ in 0..bridged {
@@ -273,7 +287,10 @@ impl<'m> CycleReader<'m> {
             self.close(state, &span, sink);
         }
         let spoilt = state.open.is_some() || state.segment.is_amid_cycle(&self.definition, state.next);
-        if state.orphan.is_some_and(|(end, _)| spoilt && state.next - end < self.definition.cycle_samples() as i64) {
+        if state
+            .orphan
+            .is_some_and(|(end, _)| spoilt && state.next - end < self.definition.cycle_samples() as i64)
+        {
             // A bump within the cycle that is being spoilt.
             state.orphan = None;
         }
@@ -331,9 +348,8 @@ impl<'m> CycleReader<'m> {
         if command == state.last_command && number > 0 {
             return;
         }
-        let long = STUCK_SHARE * self.definition.period_s * self.definition.sample_rate_hz;
         // Saturated, the command may stand still and be right.
-        if (number - state.run_start) as f64 > long && libm::fabs(state.last_command) < 0.999 {
+        if number - state.run_start > self.stuck_samples && state.last_command.abs() < 0.999 {
             state.runs.rotate_right(1);
             state.runs[0] = (state.run_start, number);
         }
@@ -374,7 +390,10 @@ impl<'m> CycleReader<'m> {
         let near = self.definition.tolerance * self.definition.period_s * self.definition.sample_rate_hz;
         let marks = &state.starts;
         let known = marks.marks.iter().take(marks.count.min(marks.marks.len()));
-        known.copied().filter(|mark| ((mark - start) as f64).abs() <= near).min_by_key(|mark| (mark - start).abs())
+        known
+            .copied()
+            .filter(|mark| ((mark - start) as f64).abs() <= near)
+            .min_by_key(|mark| (mark - start).abs())
     }
 
     fn found<B: AsRef<[f32]> + AsMut<[f32]>>(
@@ -451,7 +470,7 @@ impl<'m> CycleReader<'m> {
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
         state.counts_before = state.counts;
-        let period_ns = self.period_ns();
+        let period_ns = self.period_ns;
         sink(Outcome::Rejected(RejectedCycle {
             start_ns: state.time_ns(start, period_ns),
             end_ns: state.time_ns(end.min(state.next), period_ns),
@@ -467,7 +486,7 @@ impl<'m> CycleReader<'m> {
         span: &Span,
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
-        let period_ns = self.period_ns();
+        let period_ns = self.period_ns;
         let start_ns = state.time_ns(span.start, period_ns);
         let end_ns = state.time_ns(span.end, period_ns);
         let statistics = CycleStatistics::of(&self.definition, &state.view(), span);
@@ -502,7 +521,8 @@ impl<'m> CycleReader<'m> {
             return Some(Reason::Stuck);
         }
         let moments = &statistics.moments;
-        let cycle = SeenCycle { start_ns, mean: moments.mean, standard_deviation: moments.standard_deviation };
+        let cycle =
+            SeenCycle { start_ns, mean: moments.mean, standard_deviation: moments.standard_deviation };
         if state.seen.iter().take(state.seen_count.min(REMEMBERED_CYCLES)).any(|seen| seen.is_same(&cycle)) {
             return Some(Reason::Duplicate);
         }
@@ -514,11 +534,13 @@ impl<'m> CycleReader<'m> {
     /// Whether a standstill overlaps a stroke by more than is plausible.
     fn is_stuck<B>(&self, state: &CycleState<B>, span: &Span) -> bool {
         let rate = self.definition.sample_rate_hz;
-        let long = STUCK_SHARE * self.definition.period_s * rate;
-        self.definition.phases.iter().filter(|phase| phase.kind == crate::segment::PhaseKind::Stroke).any(|phase| {
-            let from = span.start as f64 + phase.from_s * rate;
-            let to = span.start as f64 + phase.to_s * rate;
-            state.runs.iter().any(|(start, end)| (*end as f64).min(to) - (*start as f64).max(from) > long)
-        })
+        let long = self.stuck_samples as f64;
+        self.definition.phases.iter().filter(|phase| phase.kind == crate::segment::PhaseKind::Stroke).any(
+            |phase| {
+                let from = span.start as f64 + phase.from_s * rate;
+                let to = span.start as f64 + phase.to_s * rate;
+                state.runs.iter().any(|(start, end)| (*end as f64).min(to) - (*start as f64).max(from) > long)
+            },
+        )
     }
 }

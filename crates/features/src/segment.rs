@@ -182,13 +182,19 @@ impl Default for SegmentState {
 impl SegmentState {
     /// Whether a first stroke has been seen whose last stroke may still come, at sample `now`.
     pub(crate) fn is_amid_cycle(&self, definition: &CycleDefinition<'_>, now: i64) -> bool {
-        let longest = definition.planned_distance() + definition.tolerance_samples() + definition.confirm_samples();
+        let longest =
+            definition.planned_distance() + definition.tolerance_samples() + definition.confirm_samples();
         self.last.is_some() || self.first.iter().flatten().any(|first| now as f64 - first.end < longest)
     }
 
     /// Takes sample number `now`.
     #[inline]
-    pub(crate) fn push(&mut self, definition: &CycleDefinition<'_>, now: i64, command: f64) -> Option<Finding> {
+    pub(crate) fn push(
+        &mut self,
+        definition: &CycleDefinition<'_>,
+        now: i64,
+        command: f64,
+    ) -> Option<Finding> {
         self.bin_sum += command;
         self.bin_fill += 1;
         if self.bin_fill < definition.bin_samples {
@@ -207,7 +213,8 @@ impl SegmentState {
             let correlation = self.correlation(&definition.anchors[which]);
             let [before, peak] = self.correlations[which];
             self.correlations[which] = [peak, correlation];
-            let is_maximum = peak >= definition.anchors[which].least_correlation && peak > before && peak >= correlation;
+            let is_maximum =
+                peak >= definition.anchors[which].least_correlation && peak > before && peak >= correlation;
             if is_maximum {
                 // The vertex of the parabola through the three correlations around the maximum.
                 let curvature = before - 2.0 * peak + correlation;

@@ -117,7 +117,7 @@ impl CycleStatistics {
         let mut extremes = (f64::INFINITY, f64::NEG_INFINITY);
         ring.each(span.start, span.end, |u| {
             moments.push(u);
-            extremes = (extremes.0.min(u), extremes.1.max(u));
+            widen(&mut extremes, u);
         });
         let mut statistics = CycleStatistics {
             moments: moments.summary(),
@@ -176,13 +176,20 @@ impl CycleStatistics {
         let definition = timeline.definition;
         let strokes = [0, 1].map(|which| {
             let end_s = definition.anchors[which].end_s;
-            let before = |phase: &&crate::segment::Phase| phase.kind == PhaseKind::Stroke && phase.from_s < end_s;
-            definition.phases.iter().take(MAX_PHASES).enumerate().rev().find(|(_, phase)| before(phase)).map(|(i, _)| i)
+            let before =
+                |phase: &&crate::segment::Phase| phase.kind == PhaseKind::Stroke && phase.from_s < end_s;
+            definition
+                .phases
+                .iter()
+                .take(MAX_PHASES)
+                .enumerate()
+                .rev()
+                .find(|(_, phase)| before(phase))
+                .map(|(i, _)| i)
         });
         let [Some(first), Some(last)] = strokes else { return };
         self.stroke_scale = self.phases[first].mean - self.phases[last].mean;
-        self.edge_times_s =
-            (self.edge_time_s(timeline, ring, first), self.edge_time_s(timeline, ring, last));
+        self.edge_times_s = (self.edge_time_s(timeline, ring, first), self.edge_time_s(timeline, ring, last));
     }
 
     /// Time from 10 % to 90 % of a stroke's excursion, measured from the stroke's first sample to its peak, s.
@@ -210,9 +217,9 @@ impl CycleStatistics {
         for (index, bin) in self.bins.iter_mut().enumerate().take(self.bin_count) {
             let from_s = index as f64 * bin_s;
             let (from, to) = timeline.range(from_s, from_s + bin_s);
-            let mut mean = Mean::default();
-            ring.each(from, to, |u| mean.add(u, 1.0));
-            *bin = mean.value() as f32;
+            let mut sum = 0.0;
+            ring.each(from, to, |u| sum += u);
+            *bin = (sum / (to - from).max(1) as f64) as f32;
         }
     }
 
@@ -234,7 +241,7 @@ impl Timeline<'_, '_> {
     fn range(&self, from_s: f64, to_s: f64) -> (i64, i64) {
         let middle = 0.5 * (from_s + to_s);
         let [first, last] = [0, 1].map(|which| self.definition.anchors[which].end_s);
-        let (anchor, end_s) = if libm::fabs(middle - first) <= libm::fabs(middle - last) {
+        let (anchor, end_s) = if (middle - first).abs() <= (middle - last).abs() {
             (self.span.anchors[0], first)
         } else {
             (self.span.anchors[1], last)
@@ -263,16 +270,23 @@ impl Mean {
     }
 }
 
+/// Plain comparisons: samples are finite here, and `f64::min` would pay for NaN at each of them.
+#[inline]
+fn widen(extremes: &mut (f64, f64), value: f64) {
+    extremes.0 = if value < extremes.0 { value } else { extremes.0 };
+    extremes.1 = if value > extremes.1 { value } else { extremes.1 };
+}
+
 fn phase_statistics(ring: &RingView<'_>, from: i64, to: i64, rate: f64) -> PhaseStatistics {
     let (mut count, mut sum, mut magnitude, mut squares, mut moment) = (0.0, 0.0, 0.0, 0.0, 0.0);
     let mut extremes = (f64::INFINITY, f64::NEG_INFINITY);
     ring.each(from, to, |u| {
         sum += u;
-        magnitude += libm::fabs(u);
+        magnitude += u.abs();
         squares += u * u;
         moment += count * u;
         count += 1.0;
-        extremes = (extremes.0.min(u), extremes.1.max(u));
+        widen(&mut extremes, u);
     });
     if count < 1.0 {
         return PhaseStatistics::default();

@@ -58,7 +58,7 @@ fn note(found: &mut Vec<Found>, outcome: &Outcome<'_>) {
 fn read(samples: &[Sample]) -> Vec<Found> {
     let projections = MODEL.projections();
     let reader = MODEL.reader(&projections);
-    let mut state = CycleState::new(vec![0.0f32; reader.definition.ring_samples()]);
+    let mut state = CycleState::new(vec![0.0f32; reader.definition().ring_samples()]);
     let mut found = Vec::new();
     for sample in samples {
         reader.push(&mut state, sample, &mut |outcome| note(&mut found, &outcome));
@@ -72,7 +72,10 @@ fn command_only(samples: &[Sample]) -> Vec<Sample> {
 }
 
 fn starts(found: &[Found]) -> Vec<i64> {
-    found.iter().filter_map(|f| if let Found::Valid { start_ms, .. } = f { Some(*start_ms) } else { None }).collect()
+    found
+        .iter()
+        .filter_map(|f| if let Found::Valid { start_ms, .. } = f { Some(*start_ms) } else { None })
+        .collect()
 }
 
 fn rejections(found: &[Found]) -> Vec<&'static str> {
@@ -145,7 +148,7 @@ fn property_streaming_equals_offline_bit_for_bit() {
     let projections = MODEL.projections();
     let reader = MODEL.reader(&projections);
     let mut found = Vec::new();
-    let mut state = CycleState::new(vec![0.0f32; reader.definition.ring_samples()]);
+    let mut state = CycleState::new(vec![0.0f32; reader.definition().ring_samples()]);
     for portion in LEAKY.chunks(997) {
         let mut resumed = state.clone();
         for sample in portion {
@@ -156,7 +159,7 @@ fn property_streaming_equals_offline_bit_for_bit() {
     reader.finish(&mut state, &mut |outcome| note(&mut found, &outcome));
     assert_eq!(found, read(&LEAKY));
     // A larger memory changes no bit either.
-    let mut state = CycleState::new(vec![0.0f32; 4 * reader.definition.ring_samples() + 17]);
+    let mut state = CycleState::new(vec![0.0f32; 4 * reader.definition().ring_samples() + 17]);
     let mut again = Vec::new();
     for sample in LEAKY.iter() {
         reader.push(&mut state, sample, &mut |outcome| note(&mut again, &outcome));
@@ -170,7 +173,9 @@ fn assert_others_survive(damaged: &[Sample], reason: &str) {
     let (whole, found) = (read(&LEAKY), read(damaged));
     assert_eq!(rejections(&found), [reason], "starts {:?}", starts(&found));
     assert_eq!(starts(&found), [0, 10_000, 30_000, 40_000, 50_000]);
-    let after = |found: &[Found]| found.iter().filter(|f| matches!(f, Found::Valid { start_ms, .. } if *start_ms != 20_000)).count();
+    let after = |found: &[Found]| {
+        found.iter().filter(|f| matches!(f, Found::Valid { start_ms, .. } if *start_ms != 20_000)).count()
+    };
     assert_eq!(after(&found), after(&whole));
     // Before the damage nothing changes by a bit.
     assert_eq!(found[..2], whole[..2]);
@@ -195,7 +200,12 @@ fn gap_of_a_few_samples_is_bridged() {
 
 #[test]
 fn bad_values_reject_that_cycle_alone_with_their_reason() {
-    for (value, reason) in [(f64::NAN, "not_a_number"), (f64::INFINITY, "not_a_number"), (7.0, "out_of_range"), (-1.2, "out_of_range")] {
+    for (value, reason) in [
+        (f64::NAN, "not_a_number"),
+        (f64::INFINITY, "not_a_number"),
+        (7.0, "out_of_range"),
+        (-1.2, "out_of_range"),
+    ] {
         let mut damaged = LEAKY.clone();
         for sample in &mut damaged[24_000..24_100] {
             sample.set(Signal::Command, value);
@@ -256,10 +266,12 @@ fn another_rate_gives_no_cycle_and_tells_the_rate() {
     let projections = MODEL.projections();
     let reader = MODEL.reader(&projections);
     for (factor, rate) in [(2, 500.0), (10, 100.0)] {
-        let mut state = CycleState::new(vec![0.0f32; reader.definition.ring_samples()]);
+        let mut state = CycleState::new(vec![0.0f32; reader.definition().ring_samples()]);
         let mut valid = 0;
         for sample in LEAKY.iter().step_by(factor) {
-            reader.push(&mut state, sample, &mut |outcome| valid += usize::from(matches!(outcome, Outcome::Valid(_))));
+            reader.push(&mut state, sample, &mut |outcome| {
+                valid += usize::from(matches!(outcome, Outcome::Valid(_)))
+            });
         }
         assert_eq!(valid, 0);
         assert!((state.wrong_rate_hz().unwrap() / rate - 1.0).abs() < 1e-3);
@@ -300,7 +312,7 @@ proptest! {
     ) {
         let projections = MODEL.projections();
         let reader = MODEL.reader(&projections);
-        let mut state = CycleState::new(vec![0.0f32; reader.definition.ring_samples()]);
+        let mut state = CycleState::new(vec![0.0f32; reader.definition().ring_samples()]);
         let mut sink = |outcome: Outcome<'_>| {
             if let Outcome::Valid(cycle) = outcome {
                 assert!(cycle.features.iter().all(|value| value.is_finite()));

@@ -64,7 +64,10 @@ pub(crate) fn check(file: &ModelFile) -> Result<(), ModelError> {
     check_projections(file)?;
     check_features(file)?;
     if (file.target.as_str(), file.unit.as_str()) != ("leak_area", "m2") {
-        return refuse("target", format!("is `{}` in `{}`; this program knows `leak_area` in `m2`", file.target, file.unit));
+        return refuse(
+            "target",
+            format!("is `{}` in `{}`; this program knows `leak_area` in `m2`", file.target, file.unit),
+        );
     }
     if let Transform::LnOffset(offset) = file.transform {
         within("transform.ln_offset", offset, 1e-15, 1.0)?;
@@ -109,7 +112,10 @@ fn check_cycle(cycle: &Cycle, sample_rate_hz: f64) -> Result<(), ModelError> {
         within(&format!("cycle.phases[{index}].from_s"), phase.from_s, 0.0, cycle.period_s)?;
         within(&format!("cycle.phases[{index}].to_s"), phase.to_s, phase.from_s, cycle.period_s)?;
         if cycle.phases.iter().take(index).any(|other| other.name == phase.name) {
-            return refuse(format!("cycle.phases[{index}].name"), format!("`{}` is there already", phase.name));
+            return refuse(
+                format!("cycle.phases[{index}].name"),
+                format!("`{}` is there already", phase.name),
+            );
         }
     }
     if let Some(mark) = &cycle.demand_mark {
@@ -195,11 +201,18 @@ fn check_tree(tree: &Tree, features: usize, path: &str) -> Result<(), ModelError
             continue;
         }
         if usize::try_from(*feature).map_or(true, |feature| feature >= features) {
-            return refuse(format!("{path}.feature[{index}]"), format!("is {feature}; there are {features} features"));
+            return refuse(
+                format!("{path}.feature[{index}]"),
+                format!("is {feature}; there are {features} features"),
+            );
         }
         let right = *right as usize;
         if right <= index + 1 || right >= nodes {
-            let message = format!("is {right}; it must lie in {} … {}: children follow their parent, or the tree would loop", index + 2, nodes as i64 - 1);
+            let message = format!(
+                "is {right}; it must lie in {} … {}: children follow their parent, or the tree would loop",
+                index + 2,
+                nodes as i64 - 1
+            );
             return refuse(format!("{path}.right[{index}]"), message);
         }
         expected_right.push((index, right));

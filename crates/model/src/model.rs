@@ -65,14 +65,19 @@ impl Model {
 
     fn check_golden(&self) -> Result<(), ModelError> {
         for (index, golden) in self.file.golden.iter().enumerate() {
-            self.check_pair(golden).map_err(|message| ModelError { path: format!("golden[{index}]"), message })?;
+            self.check_pair(golden)
+                .map_err(|message| ModelError { path: format!("golden[{index}]"), message })?;
         }
         Ok(())
     }
 
     fn check_pair(&self, golden: &Golden) -> Result<(), String> {
         if golden.features.len() != self.features.len() {
-            return Err(format!("has {} features; the model has {}", golden.features.len(), self.features.len()));
+            return Err(format!(
+                "has {} features; the model has {}",
+                golden.features.len(),
+                self.features.len()
+            ));
         }
         let given = self.estimate(&golden.features);
         let pairs = [
@@ -83,7 +88,9 @@ impl Model {
         for (expected, given) in pairs {
             let scale = libm::fabs(expected).max(1e-12);
             if !(libm::fabs(expected - given) <= GOLDEN_TOLERANCE * scale) {
-                return Err(format!("expects {expected:e}, the model gives {given:e}: the file was altered or is damaged"));
+                return Err(format!(
+                    "expects {expected:e}, the model gives {given:e}: the file was altered or is damaged"
+                ));
             }
         }
         Ok(())
@@ -138,24 +145,21 @@ impl Model {
                 least_deviation: anchor.least_deviation,
             }
         };
-        CycleReader {
-            filter: self.filter(),
-            definition: CycleDefinition {
-                sample_rate_hz: self.file.sample_rate_hz,
-                period_s: cycle.period_s,
-                bin_samples: cycle.bin_samples,
-                anchors: [anchor(0), anchor(1)],
-                demand_mark: cycle.demand_mark.as_ref().map(|mark| DemandMark {
-                    level_m: mark.level_m,
-                    at_s: mark.at_s,
-                    rising: mark.rising,
-                }),
-                tolerance: cycle.tolerance,
-                phases: &self.phases,
-                projections,
-            },
-            features: &self.features,
-        }
+        let definition = CycleDefinition {
+            sample_rate_hz: self.file.sample_rate_hz,
+            period_s: cycle.period_s,
+            bin_samples: cycle.bin_samples,
+            anchors: [anchor(0), anchor(1)],
+            demand_mark: cycle.demand_mark.as_ref().map(|mark| DemandMark {
+                level_m: mark.level_m,
+                at_s: mark.at_s,
+                rising: mark.rising,
+            }),
+            tolerance: cycle.tolerance,
+            phases: &self.phases,
+            projections,
+        };
+        CycleReader::new(self.filter(), definition, &self.features)
     }
 
     fn filter(&self) -> Option<Kalman> {

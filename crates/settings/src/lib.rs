@@ -29,7 +29,8 @@ pub fn parse_toml<T: DeserializeOwned>(text: &str) -> Result<T, FormatError> {
 
 /// Shortens serde's "unknown field `a`, expected one of `b`, `c`, …" to the nearest name.
 fn with_nearest_key(message: &str) -> String {
-    let Some((unknown, rest)) = message.strip_prefix("unknown field `").and_then(|rest| rest.split_once('`')) else {
+    let Some((unknown, rest)) = message.strip_prefix("unknown field `").and_then(|rest| rest.split_once('`'))
+    else {
         return message.lines().next().unwrap_or_default().to_owned();
     };
     let known: Vec<&str> = rest.split('`').skip(1).step_by(2).collect();
@@ -43,7 +44,9 @@ pub fn unknown_key(unknown: &str, known: &[&str]) -> String {
         .map(|name| (strsim::jaro_winkler(&unknown.to_lowercase(), &name.to_lowercase()), name))
         .max_by(|a, b| a.0.total_cmp(&b.0));
     match near {
-        Some((likeness, name)) if likeness > 0.7 => format!("unknown key `{unknown}`; did you mean `{name}`?"),
+        Some((likeness, name)) if likeness > 0.7 => {
+            format!("unknown key `{unknown}`; did you mean `{name}`?")
+        }
         _ => format!("unknown key `{unknown}`; known are {}", known.join(", ")),
     }
 }

@@ -73,7 +73,8 @@ impl<T: Real> Pid<T> {
         let others = self.kp * e - self.kd_per_period * (position - state.position);
         let u = others + integrated;
         // Saturated, and with the error's sign: |u| > 1 and u e > 0.
-        let driven_further = (u.abs() - one).where_positive((u * e).where_positive(one, T::splat(0.0)), T::splat(0.0));
+        let driven_further =
+            (u.abs() - one).where_positive((u * e).where_positive(one, T::splat(0.0)), T::splat(0.0));
         state.integral = driven_further.where_positive(state.integral, integrated);
         state.position = position;
         (others + state.integral).max(-one).min(one)

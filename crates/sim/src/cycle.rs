@@ -83,9 +83,7 @@ impl DutyCycle {
     pub fn load_n(&self, at_s: f64) -> f64 {
         let after = self.load.partition_point(|corner| corner.at_s <= at_s);
         match (after.checked_sub(1).map(|before| &self.load[before]), self.load.get(after)) {
-            (Some(a), Some(b)) => {
-                a.force_n + (b.force_n - a.force_n) * ((at_s - a.at_s) / (b.at_s - a.at_s))
-            }
+            (Some(a), Some(b)) => a.force_n + (b.force_n - a.force_n) * ((at_s - a.at_s) / (b.at_s - a.at_s)),
             (Some(only), None) | (None, Some(only)) => only.force_n,
             (None, None) => 0.0,
         }
@@ -145,8 +143,14 @@ impl Schedule {
         if turns.is_empty() {
             turns.push(Turn::with_leak(0.0));
         }
-        let mut schedule =
-            Schedule { cycle: cycle.clone(), period_s: controller_period_s, turns, turn: 0, tick: 0, ticks_of_turn: 0 };
+        let mut schedule = Schedule {
+            cycle: cycle.clone(),
+            period_s: controller_period_s,
+            turns,
+            turn: 0,
+            tick: 0,
+            ticks_of_turn: 0,
+        };
         schedule.ticks_of_turn = schedule.ticks_of(0);
         schedule
     }

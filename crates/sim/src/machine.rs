@@ -155,7 +155,8 @@ impl<T: Real> Machine<T> {
         let mut load = input.load;
         for index in 0..self.steps {
             let mut u = command;
-            let substep = Substep { tick: state.tick, index, steps: self.steps, dt: self.dt, period: self.period };
+            let substep =
+                Substep { tick: state.tick, index, steps: self.steps, dt: self.dt, period: self.period };
             for (law, memory) in self.laws.iter().zip(&mut state.memory) {
                 u = law.spool(memory, u, &substep);
             }

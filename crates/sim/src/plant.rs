@@ -329,7 +329,13 @@ impl<T: Real> Plant<T> {
 
     /// One RK4 step of `dt` seconds under a held spool.
     #[inline(always)]
-    pub(crate) fn rk4(&self, state: &State<T>, drive: &Drive<T>, dt: T, acting: &ActingLaws<'_, T>) -> State<T> {
+    pub(crate) fn rk4(
+        &self,
+        state: &State<T>,
+        drive: &Drive<T>,
+        dt: T,
+        acting: &ActingLaws<'_, T>,
+    ) -> State<T> {
         let half = dt * T::splat(0.5);
         let load_mid = (drive.load + drive.load_end) * T::splat(0.5);
         let rates = |at: &State<T>, load: T| self.rates(at, drive.u, load, drive.a_leak, acting);

@@ -124,8 +124,10 @@ impl MachineSpec {
         let Some(((effect, parameter), value)) = parts else {
             return Err(structure(format!("`{assignment}` is not of the form effect.parameter=value")));
         };
-        let value: f64 =
-            value.trim().parse().map_err(|_| structure(format!("`{value}` in `{assignment}` is not a number")))?;
+        let value: f64 = value
+            .trim()
+            .parse()
+            .map_err(|_| structure(format!("`{value}` in `{assignment}` is not a number")))?;
         self.effects.entry(effect.trim().into()).or_default().insert(parameter.trim().into(), value);
         self.check_effects()
     }
@@ -138,8 +140,13 @@ impl MachineSpec {
         for info in PlantParameters::ALL {
             let value = self.plant.get(info.key).unwrap_or(f64::NAN);
             if !(value.is_finite() && value >= info.minimum) {
-                let expected = if info.minimum > 0.0 { "it must be positive" } else { "it must not be negative" };
-                return Err(value_error(format!("plant.{}", info.key), value, format!("{expected}, in {}", info.unit)));
+                let expected =
+                    if info.minimum > 0.0 { "it must be positive" } else { "it must not be negative" };
+                return Err(value_error(
+                    format!("plant.{}", info.key),
+                    value,
+                    format!("{expected}, in {}", info.unit),
+                ));
             }
         }
         self.check_controller()?;
@@ -165,7 +172,12 @@ impl MachineSpec {
     fn check_cycle(&self) -> Result<(), SpecError> {
         let cycle = &self.cycle;
         in_range("cycle.period_s".into(), cycle.period_s, 0.1, 3600.0)?;
-        in_range("cycle.period_s / controller.period_s".into(), cycle.period_s / self.controller.period_s, 20.0, 1e7)?;
+        in_range(
+            "cycle.period_s / controller.period_s".into(),
+            cycle.period_s / self.controller.period_s,
+            20.0,
+            1e7,
+        )?;
         if cycle.moves.is_empty() {
             let message = "cycle.moves is empty: a machine that never moves has no duty cycle".into();
             return Err(SpecError::Structure { line: None, message });
@@ -173,7 +185,12 @@ impl MachineSpec {
         let mut time = 0.0;
         for (index, stroke) in cycle.moves.iter().enumerate() {
             in_range(format!("cycle.moves[{index}].from_s"), stroke.from_s, time, cycle.period_s)?;
-            in_range(format!("cycle.moves[{index}].to_s"), stroke.to_s, stroke.from_s + 1e-3, cycle.period_s)?;
+            in_range(
+                format!("cycle.moves[{index}].to_s"),
+                stroke.to_s,
+                stroke.from_s + 1e-3,
+                cycle.period_s,
+            )?;
             in_range(format!("cycle.moves[{index}].to_m"), stroke.to_m, 0.0, self.plant.stroke_m)?;
             time = stroke.to_s;
         }
@@ -190,7 +207,10 @@ impl MachineSpec {
         for (key, values) in &self.effects {
             let Some(effect) = effects::find(key) else {
                 let known: Vec<&str> = effects::ALL.iter().map(|effect| effect.key()).collect();
-                return Err(SpecError::Structure { line: None, message: format!("effects: {}", unknown_key(key, &known)) });
+                return Err(SpecError::Structure {
+                    line: None,
+                    message: format!("effects: {}", unknown_key(key, &known)),
+                });
             };
             for (name, value) in values {
                 let parameters = effect.parameters();

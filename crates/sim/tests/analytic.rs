@@ -12,7 +12,8 @@ fn closed(load: f64) -> Drive<f64> {
 /// 0.2 s in steps of 0.1 ms is (b h/M)⁴/120 · t b/M ≈ 1e-14 of the final speed; rounding dominates.
 #[test]
 fn analytic_free_fall_against_viscous_friction() {
-    let parameters = PlantParameters { cap_area_m2: 1e-30, annulus_area_m2: 1e-30, ..PlantParameters::default() };
+    let parameters =
+        PlantParameters { cap_area_m2: 1e-30, annulus_area_m2: 1e-30, ..PlantParameters::default() };
     let plant = Plant::<f64>::new(&[&parameters]);
     let (force, b, mass, h) = (3000.0, parameters.viscous_friction_n_s_per_m, parameters.mass_kg, 1e-4);
     let mut state = State { p_s: 16e6, p_3: 16e6, p_1: 5e6, p_2: 5e6, x: 0.05, v: 0.0 };
@@ -57,7 +58,9 @@ fn analytic_pressure_of_closed_chambers_is_logarithmic_in_volume() {
 fn analytic_steady_orifice_flow() {
     let parameters = PlantParameters { seal_resistance_pa_s_per_m3: 1e30, ..PlantParameters::default() };
     let plant = Plant::<f64>::new(&[&parameters]);
-    let flow = |dp: f64| plant.leak_flow(&State { p_s: 0.0, p_3: 0.0, p_1: 8e6 + dp, p_2: 8e6, x: 0.1, v: 0.0 }, 1e-5);
+    let flow = |dp: f64| {
+        plant.leak_flow(&State { p_s: 0.0, p_3: 0.0, p_1: 8e6 + dp, p_2: 8e6, x: 0.1, v: 0.0 }, 1e-5)
+    };
     let orifice = parameters.orifice_flow_m3_per_s(1e-5, 7e6);
     assert!((flow(7e6) / orifice - 1.0).abs() < 0.26 * (2e5f64 / 7e6).powi(2));
     assert!((orifice * 60e3 - 53.3).abs() < 0.1);
@@ -95,7 +98,9 @@ fn analytic_energy_balance_over_a_cycle() {
         let machine = Machine::<f64>::new(&[&spec]);
         let mut state = machine.start();
         let (mut delivered, mut accounted) = (0.0, 0.0);
-        for (tick, instant) in Schedule::new(&spec.cycle, 1e-3, vec![Turn::with_leak(leak_area_m2)]).take(20_000).enumerate() {
+        for (tick, instant) in
+            Schedule::new(&spec.cycle, 1e-3, vec![Turn::with_leak(leak_area_m2)]).take(20_000).enumerate()
+        {
             let before = state.plant;
             let u = machine.tick(&mut state, &Input::gather(&[instant])).command;
             if tick < 10_000 {
@@ -118,7 +123,9 @@ struct Powers {
 }
 
 fn powers(p: &PlantParameters, s: &State<f64>, u: f64, load: f64, leak: f64) -> Powers {
-    let sq = |k: f64, dp: f64| k * dp.signum() * dp.abs() / (dp * dp + p.transition_pressure_pa.powi(2)).powf(0.25);
+    let sq = |k: f64, dp: f64| {
+        k * dp.signum() * dp.abs() / (dp * dp + p.transition_pressure_pa.powi(2)).powf(0.25)
+    };
     let k = p.valve_m3_per_s_sqrt_pa * u.abs();
     // Pressure drops over the two open lands: inlet to one chamber, the other chamber to the return.
     let (fed, drained) = if u > 0.0 { (s.p_1, s.p_2) } else { (s.p_2, s.p_1) };
@@ -197,8 +204,9 @@ fn analytic_end_stops_are_inelastic() {
 #[test]
 fn analytic_fastest_eigenvalue_is_the_lines() {
     let p = PlantParameters::default();
-    let line = p.bulk_modulus_pa * (1.0 / p.inlet_volume_m3 + 1.0 / p.supply_volume_m3) * p.line_m3_per_s_sqrt_pa
-        / p.transition_pressure_pa.sqrt();
+    let line =
+        p.bulk_modulus_pa * (1.0 / p.inlet_volume_m3 + 1.0 / p.supply_volume_m3) * p.line_m3_per_s_sqrt_pa
+            / p.transition_pressure_pa.sqrt();
     assert!((p.fastest_eigenvalue_per_s() / line - 1.0).abs() < 0.03);
     assert!((line - 2.3e4).abs() < 0.05e4);
 }
@@ -206,7 +214,13 @@ fn analytic_fastest_eigenvalue_is_the_lines() {
 /// The statistics of one cycle that the plant's description states, and the levels of its signals.
 #[test]
 fn reference_command_statistics_over_leaks() {
-    let expected = [(0.0, -0.0038, 0.116), (5e-7, -0.0097, 0.119), (1e-6, -0.0152, 0.124), (3e-6, -0.0361, 0.148), (1e-5, -0.1024, 0.268)];
+    let expected = [
+        (0.0, -0.0038, 0.116),
+        (5e-7, -0.0097, 0.119),
+        (1e-6, -0.0152, 0.124),
+        (3e-6, -0.0361, 0.148),
+        (1e-5, -0.1024, 0.268),
+    ];
     for (leak_area_m2, mean, deviation) in expected {
         let spec = MachineSpec::default();
         let machine = Machine::<f64>::new(&[&spec]);

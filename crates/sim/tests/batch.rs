@@ -30,7 +30,11 @@ fn jobs(count: usize) -> Vec<Job> {
                 }
             }
             let turns = vec![
-                Turn { load_factor: noise.factor(0.2), stretch: noise.factor(0.05), ..Turn::with_leak(1e-5 * noise.uniform(0.0, 1.0)) },
+                Turn {
+                    load_factor: noise.factor(0.2),
+                    stretch: noise.factor(0.05),
+                    ..Turn::with_leak(1e-5 * noise.uniform(0.0, 1.0))
+                },
                 Turn { pause_s: 0.1, ..Turn::with_leak(1e-6) },
             ];
             Job { spec, turns, skip_ticks: 0, record_ticks: TICKS }

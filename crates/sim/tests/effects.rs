@@ -55,7 +55,8 @@ fn neutral_values_leave_every_bit() {
     for effect in effects::ALL {
         let neutral: Vec<f64> = effect.parameters().iter().map(|parameter| parameter.neutral).collect();
         let same = cycle(&with(*effect, &neutral));
-        let bits = |cycle: &[[f64; 2]]| cycle.iter().flatten().map(|value| value.to_bits()).collect::<Vec<_>>();
+        let bits =
+            |cycle: &[[f64; 2]]| cycle.iter().flatten().map(|value| value.to_bits()).collect::<Vec<_>>();
         assert_eq!(bits(&nominal), bits(&same), "{}", effect.key());
     }
 }
@@ -65,7 +66,8 @@ fn neutral_values_leave_every_bit() {
 fn neutral_lane_beside_an_acting_one_leaves_every_bit() {
     let nominal = cycle(&MachineSpec::default());
     for effect in effects::ALL {
-        let strong: Vec<f64> = effect.parameters().iter().map(|p| p.range.0 + 0.5 * (p.range.1 - p.range.0)).collect();
+        let strong: Vec<f64> =
+            effect.parameters().iter().map(|p| p.range.0 + 0.5 * (p.range.1 - p.range.0)).collect();
         let jobs = [with(*effect, &strong), MachineSpec::default()].map(|spec| Job {
             spec,
             turns: vec![Turn::with_leak(1e-6)],
@@ -99,10 +101,19 @@ fn recover_each_parameter_alone() {
             let log = cycle(&with(*effect, &values(truth)));
             let distance = |value: f64| {
                 let pairs = cycle(&with(*effect, &values(value)));
-                pairs.iter().zip(&log).map(|(a, b)| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2)).sum::<f64>()
+                pairs
+                    .iter()
+                    .zip(&log)
+                    .map(|(a, b)| (a[0] - b[0]).powi(2) + (a[1] - b[1]).powi(2))
+                    .sum::<f64>()
             };
             let found = golden_section(low, high, &distance);
-            assert!((found - truth).abs() < 0.01 * (high - low), "{}.{}: {found} {truth}", effect.key(), parameter.name);
+            assert!(
+                (found - truth).abs() < 0.01 * (high - low),
+                "{}.{}: {found} {truth}",
+                effect.key(),
+                parameter.name
+            );
         }
     }
 }

@@ -20,12 +20,17 @@ fn reference_independent_cycles_within_1e_6_of_range() {
             .collect();
         let ours = second_cycle(leak_area_m2);
         assert_eq!(rows.len(), ours.len());
-        let names = ["command", "demand", "position", "p_supply", "p_inlet", "p_cap", "p_rod", "load", "leak_flow"];
+        let names =
+            ["command", "demand", "position", "p_supply", "p_inlet", "p_cap", "p_rod", "load", "leak_flow"];
         for (column, name) in names.iter().enumerate() {
             let theirs = rows.iter().map(|row| row[column + 1]);
             let range = theirs.clone().fold(f64::MIN, f64::max) - theirs.clone().fold(f64::MAX, f64::min);
             let worst = theirs.zip(&ours).map(|(a, b)| (a - b[column]).abs()).fold(0.0, f64::max);
-            assert!(worst <= 1e-6 * range, "leak {leak_area_m2}: {name} differs by {} of its range", worst / range);
+            assert!(
+                worst <= 1e-6 * range,
+                "leak {leak_area_m2}: {name} differs by {} of its range",
+                worst / range
+            );
         }
     }
 }
@@ -58,7 +63,9 @@ fn reference_stiff_solver_within_1e_5_of_range() {
     let load = |t: f64| -2e3 - 8e3 * t;
     // From a steady extension: the step into it from rest is sharper than a controller ever makes it.
     let steady = Drive { u, load: load(0.0), load_end: load(0.0), a_leak: leak };
-    let start = (0..15_000).fold(plant.rest(0.12, load(0.0)), |state, _| plant.step(&state, &steady, 1e-5)).to_array();
+    let start = (0..15_000)
+        .fold(plant.rest(0.12, load(0.0)), |state, _| plant.step(&state, &steady, 1e-5))
+        .to_array();
     let scale = [1e6, 1e6, 1e6, 1e6, 1e-2, 1e-2];
     let times: Vec<f64> = (1..=40).map(|k| f64::from(k) * 0.01).collect();
 
@@ -116,7 +123,8 @@ fn rates_again(
     let [p_s, p_3, p_1, p_2, x, v]: [f64; 6] = std::array::from_fn(|i| y[i] * scale[i]);
     let root = |k: f64, dp: f64| k * dp / (dp.powi(2) + p.transition_pressure_pa.powi(2)).powf(0.25);
     let k = p.valve_m3_per_s_sqrt_pa * u;
-    let (q_line, q_1, q_2) = (root(p.line_m3_per_s_sqrt_pa, p_s - p_3), root(k, p_3 - p_1), -root(k, p_2 - p.return_pressure_pa));
+    let (q_line, q_1, q_2) =
+        (root(p.line_m3_per_s_sqrt_pa, p_s - p_3), root(k, p_3 - p_1), -root(k, p_2 - p.return_pressure_pa));
     let q_leak = root(p.discharge_coefficient * leak * (2.0 / p.density_kg_per_m3).sqrt(), p_1 - p_2)
         + (p_1 - p_2) / p.seal_resistance_pa_s_per_m3;
     let q_32 = (p_3 - p_2) / p.valve_rod_resistance_pa_s_per_m3;

@@ -15,7 +15,9 @@ fn property_written_default_reads_back_the_same() {
 
 #[test]
 fn symbols_of_the_equations_are_keys_too() {
-    let spec = MachineSpec::from_toml("[plant]\nk_v = 9e-7\nM = 300.0\n[effects.coulomb_friction]\nforce_n = 500\n").unwrap();
+    let spec =
+        MachineSpec::from_toml("[plant]\nk_v = 9e-7\nM = 300.0\n[effects.coulomb_friction]\nforce_n = 500\n")
+            .unwrap();
     assert_eq!((spec.plant.valve_m3_per_s_sqrt_pa, spec.plant.mass_kg), (9e-7, 300.0));
     assert_eq!(spec.effects["coulomb_friction"]["force_n"], 500.0);
 }
@@ -42,7 +44,10 @@ fn impossible_values_are_answered_with_key_and_bound() {
     assert!(refusal("[plant]\nmass_kg = nan\n").contains("`plant.mass_kg` is NaN"));
     assert!(refusal("[effects.valve_deadband]\nhalf_width = 0.5\n").contains("it must lie in 0 … 0.15"));
     assert!(refusal("[cycle]\nmoves = []\n").contains("no duty cycle"));
-    assert!(refusal("[[cycle.moves]]\nname = \"a\"\nfrom_s = 3.0\nto_s = 2.0\nto_m = 0.1\n").contains("cycle.moves[0].to_s"));
+    assert!(
+        refusal("[[cycle.moves]]\nname = \"a\"\nfrom_s = 3.0\nto_s = 2.0\nto_m = 0.1\n")
+            .contains("cycle.moves[0].to_s")
+    );
 }
 
 #[test]

@@ -2,7 +2,8 @@
 
 use seepd_features::statistics::CycleStatistics;
 use seepd_features::{
-    Anchor, CycleDefinition, CycleReader, CycleState, DemandMark, Kalman, Outcome, Phase, PhaseKind, Projection,
+    Anchor, CycleDefinition, CycleReader, CycleState, DemandMark, Kalman, Outcome, Phase, PhaseKind,
+    Projection,
 };
 use seepd_model::schema::{Cycle, PhaseKindFile};
 use seepd_signals::Sample;
@@ -127,7 +128,11 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
             let planned_ticks = observation.spec.cycle.period_s / observation.spec.controller.period_s;
             let period_ticks = (planned_ticks * observation.stretch).round() as u64;
             let lead = lead(observation) as u64;
-            let turn = Turn { load_factor: observation.load_factor, stretch: observation.stretch, ..Turn::with_leak(observation.leak_area_m2) };
+            let turn = Turn {
+                load_factor: observation.load_factor,
+                stretch: observation.stretch,
+                ..Turn::with_leak(observation.leak_area_m2)
+            };
             Job {
                 spec: observation.spec.clone(),
                 turns: vec![turn],
@@ -145,7 +150,11 @@ pub(crate) fn phases(cycle: &Cycle) -> Vec<Phase> {
         PhaseKindFile::Stroke => PhaseKind::Stroke,
         PhaseKindFile::Hold => PhaseKind::Hold,
     };
-    cycle.phases.iter().map(|phase| Phase { from_s: phase.from_s, to_s: phase.to_s, kind: kind(phase.kind) }).collect()
+    cycle
+        .phases
+        .iter()
+        .map(|phase| Phase { from_s: phase.from_s, to_s: phase.to_s, kind: kind(phase.kind) })
+        .collect()
 }
 
 /// What reading needs that is not in the file's form.
@@ -186,9 +195,15 @@ impl<'m> Reading<'m> {
 
     /// The statistics of the one cycle in a recorded command, with measurement noise added; `None` where the
     /// monitor's own segmentation does not find it.
-    pub(crate) fn read(&self, commands: &[f64], filter: Option<Kalman>, sigma: f64, noise: &mut Noise) -> Option<CycleStatistics> {
+    pub(crate) fn read(
+        &self,
+        commands: &[f64],
+        filter: Option<Kalman>,
+        sigma: f64,
+        noise: &mut Noise,
+    ) -> Option<CycleStatistics> {
         let definition = self.definition();
-        let reader = CycleReader { filter, definition, features: &[] };
+        let reader = CycleReader::new(filter, definition, &[]);
         let mut state = CycleState::new(vec![0.0f32; definition.ring_samples()]);
         let mut found = None;
         let mut keep = |outcome: Outcome<'_>| {

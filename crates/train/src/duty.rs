@@ -2,8 +2,8 @@
 
 use seepd_features::segment::MAX_PHASES;
 use seepd_model::schema::{AnchorFile, Cycle, DemandMarkFile, PhaseFile, PhaseKindFile};
-use seepd_sim::cycle::Move;
 use seepd_sim::MachineSpec;
+use seepd_sim::cycle::Move;
 
 use crate::train::TrainError;
 
@@ -42,7 +42,8 @@ pub(crate) fn cycle_of(spec: &MachineSpec) -> Result<Cycle, TrainError> {
 pub(crate) fn template_windows(spec: &MachineSpec) -> Result<[(f64, f64); 2], TrainError> {
     let shoulder = SHOULDER_SHARE * spec.cycle.period_s;
     let moves = &spec.cycle.moves;
-    Ok(anchoring_moves(spec)?.map(|index| ((moves[index].from_s - shoulder).max(0.0), moves[index].to_s + shoulder)))
+    Ok(anchoring_moves(spec)?
+        .map(|index| ((moves[index].from_s - shoulder).max(0.0), moves[index].to_s + shoulder)))
 }
 
 /// The largest move out and the largest move back, in time order.
@@ -59,7 +60,9 @@ fn anchoring_moves(spec: &MachineSpec) -> Result<[usize; 2], TrainError> {
         })
         .collect();
     let largest = |sign: f64| {
-        (0..lengths.len()).filter(|i| sign * lengths[*i] > 0.0).max_by(|a, b| lengths[*a].abs().total_cmp(&lengths[*b].abs()))
+        (0..lengths.len())
+            .filter(|i| sign * lengths[*i] > 0.0)
+            .max_by(|a, b| lengths[*a].abs().total_cmp(&lengths[*b].abs()))
     };
     match (largest(1.0), largest(-1.0)) {
         (Some(out), Some(back)) => Ok([out.min(back), out.max(back)]),

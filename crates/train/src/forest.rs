@@ -72,12 +72,14 @@ impl Forest {
             .collect();
         let out_of_bag = (0..table.len())
             .map(|i| {
-                let votes: Vec<f64> = grown.iter().map(|(_, unseen)| unseen[i]).filter(|vote| !vote.is_nan()).collect();
+                let votes: Vec<f64> =
+                    grown.iter().map(|(_, unseen)| unseen[i]).filter(|vote| !vote.is_nan()).collect();
                 if votes.is_empty() {
                     return None;
                 }
                 let mean = votes.iter().sum::<f64>() / votes.len() as f64;
-                let variance = votes.iter().map(|vote| (vote - mean).powi(2)).sum::<f64>() / votes.len() as f64;
+                let variance =
+                    votes.iter().map(|vote| (vote - mean).powi(2)).sum::<f64>() / votes.len() as f64;
                 Some((mean, variance.sqrt()))
             })
             .collect();
@@ -102,8 +104,14 @@ impl Forest {
     }
 }
 
+/// One tree on all observations, each once.
+pub fn grow_single(table: &Table, growth: Growth, seed: u64) -> Tree {
+    let noise = Noise::new(seed, 0);
+    Grower { table, growth, noise }.grow(&Presorted::of(table), &vec![1; table.len()])
+}
+
 /// The leaf's value for an observation.
-pub(crate) fn predict(tree: &Tree, feature: impl Fn(usize) -> f64) -> f64 {
+pub fn predict(tree: &Tree, feature: impl Fn(usize) -> f64) -> f64 {
     let mut node = 0;
     while tree.feature[node] >= 0 {
         let left = feature(tree.feature[node] as usize) <= tree.value[node];
@@ -198,7 +206,8 @@ impl Grower<'_> {
         let column = &self.table.columns[split.feature];
         let mut middle = range.start;
         for order in orders.iter_mut() {
-            middle = partition(&mut order[range.clone()], scratch, |i| column[i as usize] <= split.threshold) + range.start;
+            middle = partition(&mut order[range.clone()], scratch, |i| column[i as usize] <= split.threshold)
+                + range.start;
         }
         self.node(tree, orders, scratch, weights, range.start..middle);
         tree.right[index] = tree.feature.len() as u32;

@@ -89,9 +89,11 @@ type Readings = [[Option<Vec<f64>>; NOISE_LEVELS.len()]; 2];
 pub(crate) fn measure(subject: &Subject<'_>) -> Report {
     let readings: Vec<Readings> = dataset::simulate(subject.observations, |index, commands| {
         let observation = &subject.observations[index];
-        [subject.settings.filter, None].map(|filter| read_at_each_noise(subject, observation, commands, filter))
+        [subject.settings.filter, None]
+            .map(|filter| read_at_each_noise(subject, observation, commands, filter))
     });
-    let by_noise: Vec<Accuracy> = (0..NOISE_LEVELS.len()).map(|level| accuracy(subject, &readings, level)).collect();
+    let by_noise: Vec<Accuracy> =
+        (0..NOISE_LEVELS.len()).map(|level| accuracy(subject, &readings, level)).collect();
     Report { accuracy: by_noise[0].clone(), by_noise, noise_table: noise_table(subject, &readings) }
 }
 
@@ -135,7 +137,8 @@ fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accur
     let decades = [(5e-8, 1e-7), (1e-7, 1e-6), (1e-6, 1e-5)]
         .map(|(from_m2, to_m2)| {
             let cases: Vec<_> = main.iter().filter(|(truth, _)| (from_m2..to_m2).contains(truth)).collect();
-            let errors = cases.iter().map(|(truth, estimate)| (estimate.value - truth).abs() / truth).collect();
+            let errors =
+                cases.iter().map(|(truth, estimate)| (estimate.value - truth).abs() / truth).collect();
             Decade { from_m2, to_m2, median_relative_error: median(errors), coverage: covered(&cases) }
         })
         .to_vec();
@@ -146,14 +149,20 @@ fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accur
         r2_transformed: r_squared(&pairs(&|area| transform.forward(area))),
         mean_absolute_error_m2: mean_absolute_error(&pairs(&|area| area)),
         decades,
-        largest_healthy_m2: estimates.iter().filter(|(truth, _)| *truth == 0.0).map(|(_, e)| e.value).fold(0.0, f64::max),
+        largest_healthy_m2: estimates
+            .iter()
+            .filter(|(truth, _)| *truth == 0.0)
+            .map(|(_, e)| e.value)
+            .fold(0.0, f64::max),
         coverage: covered(&main.iter().collect::<Vec<_>>()),
     }
 }
 
 fn noise_table(subject: &Subject<'_>, readings: &[Readings]) -> Vec<NoiseLine> {
     let forests: Vec<Option<Forest>> = (0..2)
-        .map(|which| grow_like(subject.features, subject.learned, which, subject.growth, subject.settings.seed))
+        .map(|which| {
+            grow_like(subject.features, subject.learned, which, subject.growth, subject.settings.seed)
+        })
         .collect();
     NOISE_LEVELS
         .iter()
@@ -178,7 +187,13 @@ fn noise_table(subject: &Subject<'_>, readings: &[Readings]) -> Vec<NoiseLine> {
         .collect()
 }
 
-fn forest_error(subject: &Subject<'_>, readings: &[Readings], forest: &Forest, which: usize, level: usize) -> f64 {
+fn forest_error(
+    subject: &Subject<'_>,
+    readings: &[Readings],
+    forest: &Forest,
+    which: usize,
+    level: usize,
+) -> f64 {
     let transform: Transform = subject.model.file().transform;
     let pairs: Vec<(f64, f64)> = subject
         .observations
@@ -195,13 +210,20 @@ fn forest_error(subject: &Subject<'_>, readings: &[Readings], forest: &Forest, w
 }
 
 /// RMS change of each feature against the article's noise, over its range over all leaks; the largest.
-fn largest_feature_change(subject: &Subject<'_>, readings: &[Readings], which: usize, level: usize) -> (f64, String) {
+fn largest_feature_change(
+    subject: &Subject<'_>,
+    readings: &[Readings],
+    which: usize,
+    level: usize,
+) -> (f64, String) {
     debug_assert_eq!(NOISE_LEVELS[0], ARTICLE_NOISE);
     let mut largest = (0.0, String::new());
     for (index, name) in subject.features.names.iter().enumerate() {
         let pairs: Vec<(f64, f64)> = readings
             .iter()
-            .filter_map(|reading| Some((reading[which][0].as_ref()?[index], reading[which][level].as_ref()?[index])))
+            .filter_map(|reading| {
+                Some((reading[which][0].as_ref()?[index], reading[which][level].as_ref()?[index]))
+            })
             .collect();
         let change = relative_change(&pairs);
         if change > largest.0 {

@@ -1,9 +1,9 @@
 //! Hyperparameters by Bayesian optimisation: a tree-structured Parzen estimator proposes, out-of-bag error judges,
 //! the file's size limits. Bergstra et al., "Algorithms for hyper-parameter optimization", NIPS 2011.
 
-use optimizer::{Direction, Study};
 use optimizer::parameter::{FloatParam, IntParam, Parameter};
 use optimizer::sampler::TpeSampler;
+use optimizer::{Direction, Study};
 
 use crate::forest::{Forest, Growth, Table};
 use crate::train::TrainError;
@@ -32,7 +32,8 @@ pub fn search(
     tell: &mut dyn FnMut(usize, usize),
 ) -> Result<Found, TrainError> {
     let failed = |error: optimizer::Error| TrainError::Search(error.to_string());
-    let study: Study<f64> = Study::with_sampler(Direction::Minimize, TpeSampler::builder().seed(seed).build().map_err(failed)?);
+    let study: Study<f64> =
+        Study::with_sampler(Direction::Minimize, TpeSampler::builder().seed(seed).build().map_err(failed)?);
     let learners = IntParam::new(20, 120).name("learners");
     let least_leaf = IntParam::new(1, 24).name("least_leaf");
     let feature_share = FloatParam::new(0.15, 1.0).name("feature_share");

@@ -58,7 +58,9 @@ impl Default for Settings {
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     /// The duty cycle has no move out and back.
-    #[error("the duty cycle has no move out and back, by which its cycles could be found; see [cycle] in the plant file")]
+    #[error(
+        "the duty cycle has no move out and back, by which its cycles could be found; see [cycle] in the plant file"
+    )]
     NoStroke,
     /// The plant file cannot be written out, and so has no hash.
     #[error(transparent)]
@@ -153,9 +155,15 @@ pub fn train(
     let transform = Transform::LnOffset(LN_OFFSET_M2);
     let target: Vec<f64> = learned.iter().map(|case| transform.forward(case.leak_area_m2)).collect();
     let table = features.table(learned.iter().map(|case| &case.mixed), &target);
-    let found = search::search(&table, settings.most_bytes / NODE_BYTES, settings.trials, settings.seed, &mut |done, all| {
-        tell(Stage::Search, done, all);
-    })?;
+    let found = search::search(
+        &table,
+        settings.most_bytes / NODE_BYTES,
+        settings.trials,
+        settings.seed,
+        &mut |done, all| {
+            tell(Stage::Search, done, all);
+        },
+    )?;
     let forest = Forest::grow(&table, found.growth, settings.seed);
     let calibration = calibrate(&forest, &table.target);
 
@@ -184,7 +192,8 @@ pub fn train(
     file.golden = golden(&model, &table);
 
     tell(Stage::Measure, 0, 1);
-    let observations = dataset::draw(spec, settings.spread, settings.held_out, settings.seed, purpose::HELD_OUT);
+    let observations =
+        dataset::draw(spec, settings.spread, settings.held_out, settings.seed, purpose::HELD_OUT);
     let report = report::measure(&report::Subject {
         model: &model,
         features: &features,
@@ -243,7 +252,8 @@ fn learn_set(
     reading: &Reading<'_>,
     tell: &mut dyn FnMut(Stage, usize, usize),
 ) -> Result<Vec<Case>, TrainError> {
-    let observations = dataset::draw(spec, settings.spread, settings.observations, settings.seed, purpose::LEARN);
+    let observations =
+        dataset::draw(spec, settings.spread, settings.observations, settings.seed, purpose::LEARN);
     let mut cases = Vec::with_capacity(observations.len());
     // In portions, for the progress bar.
     for portion in observations.chunks(256) {
@@ -252,7 +262,8 @@ fn learn_set(
             let mut noise = noise_of(observation, settings);
             let sigma = log_uniform(&mut noise, settings.noise);
             let mixed = reading.read(commands, settings.filter, sigma, &mut noise)?;
-            let quiet = [settings.filter, None].map(|filter| reading.read(commands, filter, ARTICLE_NOISE, &mut noise));
+            let quiet = [settings.filter, None]
+                .map(|filter| reading.read(commands, filter, ARTICLE_NOISE, &mut noise));
             let loud = reading.read(commands, settings.filter, settings.noise.1, &mut noise);
             Some(Case { leak_area_m2: observation.leak_area_m2, mixed, quiet, loud })
         });
@@ -279,7 +290,8 @@ fn with_templates(spec: &MachineSpec, settings: &Settings) -> Result<Cycle, Trai
     let mut cycle = duty::cycle_of(spec)?;
     let windows = duty::template_windows(spec)?;
     let rate = 1.0 / spec.controller.period_s;
-    let observations = dataset::draw(spec, settings.spread, TEMPLATE_MACHINES, settings.seed, purpose::TEMPLATE);
+    let observations =
+        dataset::draw(spec, settings.spread, TEMPLATE_MACHINES, settings.seed, purpose::TEMPLATE);
     let bin_samples = cycle.bin_samples;
     let shapes: Vec<[Vec<f64>; 2]> = dataset::simulate(&observations, |index, commands| {
         let mut noise = noise_of(&observations[index], settings);
@@ -296,13 +308,17 @@ fn with_templates(spec: &MachineSpec, settings: &Settings) -> Result<Cycle, Trai
         windows.map(|(from_s, to_s)| {
             let from = lead + (from_s * rate).round() as usize;
             let to = lead + (to_s * rate).round() as usize;
-            filtered[from..to].chunks_exact(bin_samples).map(|bin| bin.iter().sum::<f64>() / bin.len() as f64).collect()
+            filtered[from..to]
+                .chunks_exact(bin_samples)
+                .map(|bin| bin.iter().sum::<f64>() / bin.len() as f64)
+                .collect()
         })
     });
     for which in 0..2 {
         let anchor = &mut cycle.anchors[which];
         let centred: Vec<Vec<f64>> = shapes.iter().map(|shape| normalised(&shape[which])).collect();
-        let mean: Vec<f64> = (0..centred[0].len()).map(|bin| centred.iter().map(|shape| shape[bin]).sum()).collect();
+        let mean: Vec<f64> =
+            (0..centred[0].len()).map(|bin| centred.iter().map(|shape| shape[bin]).sum()).collect();
         let template = normalised(&mean);
         let least = centred
             .iter()
@@ -362,7 +378,13 @@ fn steady_features(features: &Features<'_>, learned: &[Case]) -> Vec<String> {
         let pairs: Vec<(f64, f64)> = rows.iter().map(|(quiet, loud)| (quiet[index], loud[index])).collect();
         report::relative_change(&pairs) <= LARGEST_CHANGE
     };
-    features.names.iter().enumerate().filter(|(index, _)| is_steady(*index)).map(|(_, name)| name.clone()).collect()
+    features
+        .names
+        .iter()
+        .enumerate()
+        .filter(|(index, _)| is_steady(*index))
+        .map(|(_, name)| name.clone())
+        .collect()
 }
 
 /// Reads features by name off cycles' statistics.
@@ -392,7 +414,11 @@ impl<'a> Features<'a> {
         self.kinds.iter().map(|kind| kind.of(&definition, statistics)).collect()
     }
 
-    pub(crate) fn table<'s>(&self, cases: impl Iterator<Item = &'s CycleStatistics>, target: &[f64]) -> Table {
+    pub(crate) fn table<'s>(
+        &self,
+        cases: impl Iterator<Item = &'s CycleStatistics>,
+        target: &[f64],
+    ) -> Table {
         let statistics: Vec<&CycleStatistics> = cases.collect();
         let rows: Vec<Vec<f64>> = statistics.par_iter().map(|case| self.of(case)).collect();
         let columns = (0..self.names.len()).map(|j| rows.iter().map(|row| row[j]).collect()).collect();
@@ -415,7 +441,9 @@ fn calibrate(forest: &Forest, target: &[f64]) -> Calibration {
         .out_of_bag
         .iter()
         .zip(target)
-        .filter_map(|(vote, truth)| vote.map(|(mean, spread)| (mean, (truth - mean).abs() / (spread + SPREAD_FLOOR))))
+        .filter_map(|(vote, truth)| {
+            vote.map(|(mean, spread)| (mean, (truth - mean).abs() / (spread + SPREAD_FLOOR)))
+        })
         .collect();
     scores.sort_by(|a, b| a.0.total_cmp(&b.0));
     let size = scores.len().div_ceil(CALIBRATED_RANGES).max(1);
@@ -448,12 +476,21 @@ fn golden(model: &Model, table: &Table) -> Vec<Golden> {
 }
 
 /// A forest for the noise table: grown as the model's own, on other readings of the same machines.
-pub(crate) fn grow_like(features: &Features<'_>, learned: &[Case], which: usize, growth: Growth, seed: u64) -> Option<Forest> {
+pub(crate) fn grow_like(
+    features: &Features<'_>,
+    learned: &[Case],
+    which: usize,
+    growth: Growth,
+    seed: u64,
+) -> Option<Forest> {
     let transform = Transform::LnOffset(LN_OFFSET_M2);
     let cases: Vec<(&CycleStatistics, f64)> = learned
         .iter()
-        .filter_map(|case| case.quiet[which].as_ref().map(|quiet| (quiet, transform.forward(case.leak_area_m2))))
+        .filter_map(|case| {
+            case.quiet[which].as_ref().map(|quiet| (quiet, transform.forward(case.leak_area_m2)))
+        })
         .collect();
     let target: Vec<f64> = cases.iter().map(|case| case.1).collect();
-    (!cases.is_empty()).then(|| Forest::grow(&features.table(cases.iter().map(|case| case.0), &target), growth, seed))
+    (!cases.is_empty())
+        .then(|| Forest::grow(&features.table(cases.iter().map(|case| case.0), &target), growth, seed))
 }

@@ -58,7 +58,12 @@ pub fn run(arguments: &DemoArguments) -> Result<Outcome, Failure> {
     let turns = wear(arguments);
     let spec = MachineSpec::default();
     say(&format!("simulating {} cycles of a press whose seal wears …", arguments.cycles))?;
-    let simulate = SimulateArguments { out: log.clone(), seed: arguments.seed, command_only: true, ..SimulateArguments::default() };
+    let simulate = SimulateArguments {
+        out: log.clone(),
+        seed: arguments.seed,
+        command_only: true,
+        ..SimulateArguments::default()
+    };
     write_log(&simulate, &spec, &turns)?;
     say(&format!("replaying {} with the embedded model …\n", log.display()))?;
     let page = replay(&log, &spec, &turns[1..])?;
@@ -75,7 +80,9 @@ fn wear(arguments: &DemoArguments) -> Vec<Turn> {
     let mut noise = Noise::new(arguments.seed, 3);
     let turn = |cycle: usize, noise: &mut Noise| {
         let leak_area_m2 = match cycle.checked_sub(healthy) {
-            Some(worn) => WEAR_M2.0 * (WEAR_M2.1 / WEAR_M2.0).powf(worn as f64 / (cycles - healthy - 1) as f64),
+            Some(worn) => {
+                WEAR_M2.0 * (WEAR_M2.1 / WEAR_M2.0).powf(worn as f64 / (cycles - healthy - 1) as f64)
+            }
             None => 0.0,
         };
         Turn { load_factor: noise.factor(LOAD_VARIATION), ..Turn::with_leak(leak_area_m2) }
@@ -96,7 +103,8 @@ fn replay(log: &Path, spec: &MachineSpec, turns: &[Turn]) -> Result<DemoPage, Fa
         reference_dp_pa: config.reference_dp_pa,
     };
     let mut pipeline = Pipeline::new(pipeline_config);
-    let truth = Truth { turns, period_s: spec.cycle.period_s, flow_lpm: &|area| pipeline_config.flow_lpm(area) };
+    let truth =
+        Truth { turns, period_s: spec.cycle.period_s, flow_lpm: &|area| pipeline_config.flow_lpm(area) };
     let mut page = DemoPage {
         log: log.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         reference_dp_pa: config.reference_dp_pa,
@@ -195,7 +203,10 @@ fn median_error(page: &DemoPage) -> f64 {
 /// A dozen estimates beside the truth, and the flags.
 fn print(page: &DemoPage) -> Result<(), Failure> {
     let plain = Colour::detect(io::stdout().is_terminal());
-    let mut text = format!("{:>7} {:>13} {:>16} {:>22}  flag\n", "cycle", "truth L/min", "estimate L/min", "90 % interval");
+    let mut text = format!(
+        "{:>7} {:>13} {:>16} {:>22}  flag\n",
+        "cycle", "truth L/min", "estimate L/min", "90 % interval"
+    );
     let step = (page.points.len() / 12).max(1);
     for (cycle, point) in page.points.iter().enumerate().step_by(step) {
         let interval = format!("{:.3} … {:.3}", point.interval_lpm[0], point.interval_lpm[1]);
@@ -211,7 +222,8 @@ fn print(page: &DemoPage) -> Result<(), Failure> {
         let delay = change.truth_passed_s.map_or(String::new(), |passed| {
             format!(", {:.0} s after the truth passed the threshold", change.t_s - passed)
         });
-        text += &format!("{} rose in cycle {} at {:.0} s{delay}\n", change.to.name(), change.cycle, change.t_s);
+        text +=
+            &format!("{} rose in cycle {} at {:.0} s{delay}\n", change.to.name(), change.cycle, change.t_s);
     }
     text += &format!("median error above the watch threshold: {:.1} %", 100.0 * page.median_error);
     say(&text)

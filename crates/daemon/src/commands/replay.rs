@@ -12,9 +12,9 @@ use crate::event::{Event, Flag, Summary};
 use crate::failure::{Code, Failure};
 use crate::pipeline::{Pipeline, PipelineConfig};
 use crate::sink::csv::CsvSink;
+use crate::sink::json;
 use crate::sink::mcap::EventSink;
 use crate::sink::terminal::{self, Colour};
-use crate::sink::json;
 use crate::source;
 
 /// Reads logs (MCAP or CSV) and tells the leak of each duty cycle, the flags and a summary.
@@ -22,8 +22,10 @@ use crate::source;
 /// Several logs are read one after the other as one machine's record. The leak is always given as an area (m²)
 /// and as the flow that this area passes at a stated pressure difference.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  seepd replay press-1.mcap\n  seepd replay --json --model model.json press-1.csv | jq .leak_flow_lpm\n  \
-                        seepd replay --config seepd.toml --csv cycles.csv --mcap estimates.mcap monday.mcap tuesday.mcap")]
+#[command(
+    after_help = "Examples:\n  seepd replay press-1.mcap\n  seepd replay --json --model model.json press-1.csv | jq .leak_flow_lpm\n  \
+                        seepd replay --config seepd.toml --csv cycles.csv --mcap estimates.mcap monday.mcap tuesday.mcap"
+)]
 pub struct ReplayArguments {
     /// Logs; `-` reads a CSV text from standard input
     #[arg(required = true, value_name = "LOG")]
@@ -72,7 +74,10 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     let mut config = arguments.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
     if let Some(mpa) = arguments.reference_mpa {
         if !(0.1..=100.0).contains(&mpa) {
-            return Err(Failure::new(Code::Usage, format!("--reference-mpa is {mpa}; it must lie in 0.1 … 100 MPa")));
+            return Err(Failure::new(
+                Code::Usage,
+                format!("--reference-mpa is {mpa}; it must lie in 0.1 … 100 MPa"),
+            ));
         }
         config.reference_dp_pa = mpa * 1e6;
     }
@@ -88,7 +93,8 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         alarm: &config.alarm,
         reference_dp_pa: config.reference_dp_pa,
     });
-    let create = |path: &Path| File::create(path).map(BufWriter::new).map_err(|error| Failure::writing(path, error));
+    let create =
+        |path: &Path| File::create(path).map(BufWriter::new).map_err(|error| Failure::writing(path, error));
     let mut files = Files::default();
     if let Some(path) = &arguments.csv {
         files.csv = Some(CsvSink::new(create(path)?, model.feature_names()));
@@ -218,7 +224,9 @@ impl Printer {
     fn summary(&mut self, summary: &Summary) -> Result<(), Failure> {
         let result = match self.format {
             Format::Json => json::write_summary(&mut self.out, summary),
-            Format::Lines | Format::SummaryOnly => terminal::write_summary(&mut self.out, summary, self.colour),
+            Format::Lines | Format::SummaryOnly => {
+                terminal::write_summary(&mut self.out, summary, self.colour)
+            }
         };
         let result = result.and_then(|()| self.out.flush());
         self.heed(result)
@@ -236,4 +244,3 @@ impl Printer {
         }
     }
 }
-

@@ -153,7 +153,8 @@ fn turns(arguments: &SimulateArguments) -> Result<Vec<Turn>, Failure> {
     check("--noise", arguments.noise, 0.0, 1.0)?;
     check("--cycles", arguments.cycles as f64, 1.0, 1e7)?;
     let step = arguments.leak_step.as_deref().map(parse_step).transpose()?;
-    let growth = arguments.leak_growth.map(|end| check("--leak-growth", end, 0.0, LARGEST_LEAK_M2)).transpose()?;
+    let growth =
+        arguments.leak_growth.map(|end| check("--leak-growth", end, 0.0, LARGEST_LEAK_M2)).transpose()?;
     let mut noise = Noise::new(arguments.seed, 1);
     let turn = |cycle: usize, noise: &mut Noise| {
         let leak_area_m2 = match (step, growth) {
@@ -165,7 +166,12 @@ fn turns(arguments: &SimulateArguments) -> Result<Vec<Turn>, Failure> {
             }
             _ => start,
         };
-        Turn { leak_area_m2, load_factor: noise.factor(load), stretch: noise.factor(period), pause_s: noise.uniform(0.0, pause) }
+        Turn {
+            leak_area_m2,
+            load_factor: noise.factor(load),
+            stretch: noise.factor(period),
+            pause_s: noise.uniform(0.0, pause),
+        }
     };
     // The warm-up is as planned, with the first cycle's leak.
     let mut turns = vec![Turn::with_leak(turn(0, &mut noise.clone()).leak_area_m2)];
@@ -174,7 +180,12 @@ fn turns(arguments: &SimulateArguments) -> Result<Vec<Turn>, Failure> {
 }
 
 fn parse_step(text: &str) -> Result<(f64, usize), Failure> {
-    let wrong = || Failure::new(Code::Usage, format!("--leak-step `{text}` is not of the form AREA@CYCLE, such as 2e-7@12"));
+    let wrong = || {
+        Failure::new(
+            Code::Usage,
+            format!("--leak-step `{text}` is not of the form AREA@CYCLE, such as 2e-7@12"),
+        )
+    };
     let (area, cycle) = text.split_once('@').ok_or_else(wrong)?;
     let area = check("--leak-step", area.parse().map_err(|_| wrong())?, 0.0, LARGEST_LEAK_M2)?;
     Ok((area, cycle.parse().map_err(|_| wrong())?))
@@ -235,7 +246,8 @@ pub fn write_log(arguments: &SimulateArguments, spec: &MachineSpec, turns: &[Tur
     let file = File::create(path).map_err(|error| Failure::writing(path, error))?;
     let mut sink = McapSink::new(BufWriter::new(file), arguments.compression).map_err(writing)?;
     let prefix = &arguments.topic_prefix;
-    let signals = sink.add_channel(&format!("{prefix}/signals"), "seepd.Signals", schema::SIGNALS).map_err(writing)?;
+    let signals =
+        sink.add_channel(&format!("{prefix}/signals"), "seepd.Signals", schema::SIGNALS).map_err(writing)?;
     let truth = (!arguments.no_truth)
         .then(|| sink.add_channel(&format!("{prefix}/truth"), "seepd.Truth", schema::TRUTH))
         .transpose()
@@ -260,7 +272,9 @@ pub fn write_log(arguments: &SimulateArguments, spec: &MachineSpec, turns: &[Tur
             continue;
         }
         if !record.position.is_finite() {
-            return Err(Failure::data("the simulation went out of bounds; check the plant file's values".to_owned()));
+            return Err(Failure::data(
+                "the simulation went out of bounds; check the plant file's values".to_owned(),
+            ));
         }
         let time_ns = ((tick - skipped) as f64 * period_s * 1e9).round() as i64;
         let message = SignalsMessage::of(&record, noisy, arguments.command_only);
@@ -305,7 +319,10 @@ fn write_provenance(
         ("software".to_owned(), concat!("seepd ", env!("CARGO_PKG_VERSION")).to_owned()),
         ("seed".to_owned(), arguments.seed.to_string()),
         ("noise".to_owned(), arguments.noise.to_string()),
-        ("plant".to_owned(), arguments.plant.as_ref().map_or("nominal".to_owned(), |path| path.display().to_string())),
+        (
+            "plant".to_owned(),
+            arguments.plant.as_ref().map_or("nominal".to_owned(), |path| path.display().to_string()),
+        ),
         ("effects".to_owned(), arguments.with.join(" ")),
     ]);
     sink.write_metadata("seepd.simulation", facts)?;

@@ -18,8 +18,10 @@ use crate::failure::{Code, Failure};
 /// Machines differ by ± 5 % in their parameters and load; leak areas reach from 0 over 5e-9 to 1e-5 m². The same seed
 /// gives the same bytes.
 #[derive(Debug, Args)]
-#[command(after_help = "Examples:\n  seepd train --out model.json\n  seepd train --plant press-3.toml --out press-3.json --seed 2\n\n\
-                        The model that the program brings is rebuilt by\n  seepd train --out crates/daemon/assets/model.json")]
+#[command(
+    after_help = "Examples:\n  seepd train --out model.json\n  seepd train --plant press-3.toml --out press-3.json --seed 2\n\n\
+                        The model that the program brings is rebuilt by\n  seepd train --out crates/daemon/assets/model.json"
+)]
 pub struct TrainArguments {
     /// Model to write
     #[arg(long, value_name = "FILE")]
@@ -61,7 +63,10 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
     ];
     for (name, value, low, high) in limits {
         if !(low..=high).contains(&value) {
-            return Err(Failure::new(Code::Usage, format!("{name} is {value}; it must lie in {low} … {high}")));
+            return Err(Failure::new(
+                Code::Usage,
+                format!("{name} is {value}; it must lie in {low} … {high}"),
+            ));
         }
     }
     let spec = read_plant(arguments.plant.as_deref())?;
@@ -70,7 +75,11 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
         observations: arguments.observations,
         held_out: arguments.held_out,
         trials: arguments.trials,
-        spread: Spread { parameters: arguments.parameter_spread, load: arguments.load_spread, ..Spread::default() },
+        spread: Spread {
+            parameters: arguments.parameter_spread,
+            load: arguments.load_spread,
+            ..Spread::default()
+        },
         ..Settings::default()
     };
     let mut stage = None;
@@ -133,7 +142,11 @@ fn print_report(out: &mut impl Write, arguments: &TrainArguments, trained: &Trai
 }
 
 fn print_accuracy(out: &mut impl Write, report: &Report) -> io::Result<()> {
-    writeln!(out, "\nOn {} machines that it has not seen, by noise of the command:", report.accuracy.machines)?;
+    writeln!(
+        out,
+        "\nOn {} machines that it has not seen, by noise of the command:",
+        report.accuracy.machines
+    )?;
     writeln!(
         out,
         "{:>7} {:>9} {:>9}  {:^26}  {:>10}  {:>10}",
@@ -151,7 +164,8 @@ fn print_accuracy(out: &mut impl Write, report: &Report) -> io::Result<()> {
 }
 
 fn print_accuracy_line(out: &mut impl Write, accuracy: &Accuracy) -> io::Result<()> {
-    let errors: Vec<f64> = accuracy.decades.iter().map(|decade| 100.0 * decade.median_relative_error).collect();
+    let errors: Vec<f64> =
+        accuracy.decades.iter().map(|decade| 100.0 * decade.median_relative_error).collect();
     writeln!(
         out,
         "{:>7} {:>9.5} {:>9.5}  {:>6.2} % {:>6.2} % {:>6.2} %  {:>8.1} %  {:>10.2e}",
@@ -168,15 +182,20 @@ fn print_accuracy_line(out: &mut impl Write, accuracy: &Accuracy) -> io::Result<
 
 fn print_noise_table(out: &mut impl Write, report: &Report) -> io::Result<()> {
     writeln!(out, "\nThe article's experiment: learned at noise 0.001, tested at each level:")?;
-    writeln!(out, "{:>7}  {:^33}  {:^50}", "", "mean absolute error, m²", "largest change of a feature over its range")?;
+    writeln!(
+        out,
+        "{:>7}  {:^33}  {:^50}",
+        "", "mean absolute error, m²", "largest change of a feature over its range"
+    )?;
     writeln!(
         out,
         "{:>7}  {:>16} {:>16}  {:>24} {:>25}",
         "noise", "with filter", "without", "with filter", "without"
     )?;
     for line in &report.noise_table {
-        let change =
-            |which: usize| format!("{:.2} % {}", 100.0 * line.largest_feature_change[which], line.feature[which]);
+        let change = |which: usize| {
+            format!("{:.2} % {}", 100.0 * line.largest_feature_change[which], line.feature[which])
+        };
         writeln!(
             out,
             "{:>7}  {:>16.3e} {:>16.3e}  {:>24} {:>25}",

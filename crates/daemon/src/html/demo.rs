@@ -121,9 +121,18 @@ impl DemoPage {
     }
 
     fn leak_chart(&self) -> Chart {
-        let highest = self.points.iter().map(|p| p.interval_lpm[1].max(p.truth_lpm)).fold(self.alarm.severe_lpm, f64::max);
-        let line = |value: &dyn Fn(&Point) -> f64| self.points.iter().map(|p| (p.t_s / 60.0, value(p))).collect();
-        let limit = |name: &str, at, flag| Layer::Limit { at, name: format!("{name} {at} L/min"), colour: colour(flag) };
+        let highest = self
+            .points
+            .iter()
+            .map(|p| p.interval_lpm[1].max(p.truth_lpm))
+            .fold(self.alarm.severe_lpm, f64::max);
+        let line =
+            |value: &dyn Fn(&Point) -> f64| self.points.iter().map(|p| (p.t_s / 60.0, value(p))).collect();
+        let limit = |name: &str, at, flag| Layer::Limit {
+            at,
+            name: format!("{name} {at} L/min"),
+            colour: colour(flag),
+        };
         Chart {
             title: "Leak flow over time, estimated and true".into(),
             x: Axis::linear("time, min", 0.0, self.duration_s / 60.0),
@@ -131,7 +140,11 @@ impl DemoPage {
             layers: vec![
                 Layer::Band {
                     class: "fill-band",
-                    points: self.points.iter().map(|p| (p.t_s / 60.0, p.interval_lpm[0], p.interval_lpm[1])).collect(),
+                    points: self
+                        .points
+                        .iter()
+                        .map(|p| (p.t_s / 60.0, p.interval_lpm[0], p.interval_lpm[1]))
+                        .collect(),
                 },
                 limit("watch", self.alarm.watch_lpm, Flag::Watch),
                 limit("leak", self.alarm.leak_lpm, Flag::Leak),
@@ -158,14 +171,28 @@ impl DemoPage {
         for (at, flag) in changes.chain([(end, Flag::NoEstimate)]) {
             if let Some((from, old)) = before {
                 steps.extend([(from, level(old)), (at, level(old))]);
-                stretches.push(Layer::Stretch { from, to: at, colour: colour(old).into(), name: old.name().into() });
+                stretches.push(Layer::Stretch {
+                    from,
+                    to: at,
+                    colour: colour(old).into(),
+                    name: old.name().into(),
+                });
             }
             before = Some((at, flag));
         }
         let mut layers = stretches;
         layers.push(Layer::Line { class: "stroke-a", points: steps });
-        let names = [(Flag::Healthy, "healthy"), (Flag::Watch, "watch"), (Flag::Leak, "leak"), (Flag::Severe, "severe")];
-        layers.extend(names.map(|(flag, name)| Layer::Limit { at: level(flag), name: name.into(), colour: colour(flag) }));
+        let names = [
+            (Flag::Healthy, "healthy"),
+            (Flag::Watch, "watch"),
+            (Flag::Leak, "leak"),
+            (Flag::Severe, "severe"),
+        ];
+        layers.extend(names.map(|(flag, name)| Layer::Limit {
+            at: level(flag),
+            name: name.into(),
+            colour: colour(flag),
+        }));
         Chart {
             title: "Flag over time".into(),
             x: Axis::linear("time, min", 0.0, end),

@@ -33,8 +33,18 @@ impl<W: Write> CsvSink<W> {
         }
         self.started = true;
         let fixed = [
-            "axis", "cycle", "t_start_s", "t_end_s", "t_start_ns", "leak_area_m2", "interval90_low_m2",
-            "interval90_high_m2", "leak_flow_lpm", "reference_dp_pa", "flag", "reason",
+            "axis",
+            "cycle",
+            "t_start_s",
+            "t_end_s",
+            "t_start_ns",
+            "leak_area_m2",
+            "interval90_low_m2",
+            "interval90_high_m2",
+            "leak_flow_lpm",
+            "reference_dp_pa",
+            "flag",
+            "reason",
         ];
         let header = fixed.into_iter().chain(self.names.iter().map(String::as_str));
         self.writer.write_record(header).map_err(io::Error::other)

@@ -93,8 +93,14 @@ fn write_flag(out: &mut impl Write, event: &FlagEvent<'_>, colour: Colour) -> io
     if let Some(reason) = evidence.reason {
         write!(out, ": {reason}")?;
     }
-    if let (Some(low), Some(high), Some(threshold)) = (evidence.lowest_lpm, evidence.highest_lpm, evidence.threshold_lpm) {
-        write!(out, ": {} cycles at {low:.3} … {high:.3} L/min, threshold {threshold} L/min", evidence.cycles)?;
+    if let (Some(low), Some(high), Some(threshold)) =
+        (evidence.lowest_lpm, evidence.highest_lpm, evidence.threshold_lpm)
+    {
+        write!(
+            out,
+            ": {} cycles at {low:.3} … {high:.3} L/min, threshold {threshold} L/min",
+            evidence.cycles
+        )?;
     }
     writeln!(out)
 }

@@ -40,8 +40,7 @@ impl<R: Read> CsvSource<R> {
         time_column: &str,
     ) -> Result<Self, Failure> {
         let mut reader = ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(input);
-        let headers =
-            reader.headers().map_err(|error| Failure::data(format!("{name}: {error}")))?.clone();
+        let headers = reader.headers().map_err(|error| Failure::data(format!("{name}: {error}")))?.clone();
         let find = |wanted: &str| headers.iter().position(|header| header == wanted);
         let listed = || headers.iter().collect::<Vec<_>>().join(", ");
         let missing = |what: &str, column: &str| {

@@ -3,8 +3,8 @@
 use std::fmt;
 
 use seepd_signals::Signal;
-use serde::de::{DeserializeSeed, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde::Deserializer;
+use serde::de::{DeserializeSeed, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use crate::config::SignalMapping;
 

@@ -6,11 +6,11 @@ use std::io::{Read, Seek};
 use mcap::records::{Record, op};
 use seepd_signals::{Sample, Signal};
 
+use super::Source;
 use super::fields::{FieldTree, Picked};
 use super::mcap_file::{McapFile, parse};
-use super::Source;
 use crate::config::SignalMapping;
-use crate::failure::Failure;
+use crate::failure::{Code, Failure};
 
 /// Ending of the topics that are read when no mapping names one.
 const DEFAULT_TOPIC_ENDING: &str = "/signals";
@@ -33,11 +33,14 @@ pub struct McapSource<R> {
     mapping: Vec<(Signal, SignalMapping)>,
     channels: BTreeMap<u16, Channel>,
     picked: Picked,
+    /// The record at hand.
+    message: Vec<u8>,
     /// The newest value of each signal: a command is published with what was known beside it.
     held: Sample,
     unreadable: u64,
     first_unreadable: Option<String>,
     given: u64,
+    summary_asked: bool,
 }
 
 impl<R: Read + Seek> McapSource<R> {
@@ -54,10 +57,12 @@ impl<R: Read + Seek> McapSource<R> {
             mapping,
             channels: BTreeMap::new(),
             picked: Picked::default(),
+            message: Vec::new(),
             held: Sample::new(0),
             unreadable: 0,
             first_unreadable: None,
             given: 0,
+            summary_asked: false,
         })
     }
 
@@ -66,7 +71,11 @@ impl<R: Read + Seek> McapSource<R> {
             return Ok(());
         }
         let wanted = |mapping: &&(Signal, SignalMapping)| {
-            if mapping.1.topic.is_empty() { topic.ends_with(DEFAULT_TOPIC_ENDING) } else { mapping.1.topic == topic }
+            if mapping.1.topic.is_empty() {
+                topic.ends_with(DEFAULT_TOPIC_ENDING)
+            } else {
+                mapping.1.topic == topic
+            }
         };
         let mappings: Vec<_> = self.mapping.iter().filter(wanted).collect();
         if !mappings.is_empty() && encoding != "json" {
@@ -76,15 +85,16 @@ impl<R: Read + Seek> McapSource<R> {
             )));
         }
         let default = mappings.iter().any(|mapping| mapping.1.topic.is_empty());
-        let other = self.channels.values().find(|other| default && other.fields.is_some() && other.topic != topic);
+        let other =
+            self.channels.values().find(|other| default && other.fields.is_some() && other.topic != topic);
         if let Some(other) = other {
             return Err(Failure::data(format!(
                 "{}: holds several axes, {} and {topic}; choose one with --topic",
                 self.name, other.topic
             )));
         }
-        let fields =
-            (!mappings.is_empty()).then(|| FieldTree::of(mappings.iter().map(|mapping| (mapping.0, &mapping.1))));
+        let fields = (!mappings.is_empty())
+            .then(|| FieldTree::of(mappings.iter().map(|mapping| (mapping.0, &mapping.1))));
         self.channels.insert(id, Channel { topic, encoding, messages: 0, fields });
         Ok(())
     }
@@ -97,7 +107,8 @@ impl<R: Read + Seek> McapSource<R> {
             .map(|channel| format!("{} ({}, {} messages)", channel.topic, channel.encoding, channel.messages))
             .collect();
         let listed = if listed.is_empty() { "no topics at all".to_owned() } else { listed.join(", ") };
-        let command = self.mapping.iter().find(|(signal, _)| *signal == Signal::Command).map(|(_, mapping)| mapping);
+        let command =
+            self.mapping.iter().find(|(signal, _)| *signal == Signal::Command).map(|(_, mapping)| mapping);
         let wanted = match command {
             Some(m) if !m.topic.is_empty() => format!("`{}` on topic {}", m.field, m.topic),
             Some(m) => format!("`{}` on a topic that ends in {DEFAULT_TOPIC_ENDING}", m.field),
@@ -125,52 +136,87 @@ impl<R: Read + Seek> McapSource<R> {
     }
 }
 
+impl<R: Read + Seek> McapSource<R> {
+    fn io(&self, error: &std::io::Error) -> Failure {
+        Failure::new(Code::Io, format!("{}: {error}", self.name))
+    }
+
+    /// Channels of which the announcement was lost with a damaged chunk.
+    #[cold]
+    fn ask_summary(&mut self) -> Result<(), Failure> {
+        self.summary_asked = true;
+        let channels = self.file.summary_channels().map_err(|error| self.io(&error))?;
+        for (id, topic, encoding) in channels {
+            self.add_channel(id, topic, encoding)?;
+        }
+        Ok(())
+    }
+
+    /// The sample that the message in `self.message` completes, if it holds a command.
+    fn take_message(&mut self) -> Option<Sample> {
+        let (header, data) = self.message.split_at_checked(MESSAGE_HEADER_BYTES)?;
+        let channel = self.channels.get_mut(&channel_id(header))?;
+        channel.messages += 1;
+        let fields = channel.fields.as_ref()?;
+        let log_time = u64::from_le_bytes(std::array::from_fn(|index| header[6 + index]));
+        let picked = &mut self.picked;
+        if let Err(error) = fields.pick(data, picked).or_else(|_| pick_with_nan(fields, data, picked)) {
+            self.unreadable += 1;
+            self.first_unreadable.get_or_insert_with(|| format!("at {log_time} ns: {error}"));
+            return None;
+        }
+        let mut has_command = false;
+        for (signal, value) in &self.picked.values {
+            self.held.set(*signal, *value);
+            has_command |= *signal == Signal::Command;
+        }
+        self.held.time_ns = match self.picked.time_s {
+            Some(time_s) => (time_s * 1e9).round() as i64,
+            None => i64::try_from(log_time).unwrap_or(i64::MAX),
+        };
+        self.given += u64::from(has_command);
+        has_command.then_some(self.held)
+    }
+}
+
+fn channel_id(message: &[u8]) -> u16 {
+    u16::from_le_bytes([message[0], message[1]])
+}
+
 impl<R: Read + Seek> Source for McapSource<R> {
     fn next_sample(&mut self) -> Result<Option<Sample>, Failure> {
         loop {
-            let record = self.file.next_record();
-            let record = record.map_err(|error| Failure::new(crate::failure::Code::Io, format!("{}: {error}", self.name)))?;
-            let Some((opcode, content)) = record else {
-                return if self.given == 0 { Err(self.nothing_matched()) } else { Ok(None) };
-            };
-            if opcode == op::MESSAGE {
-                let Some((header, data)) = content.split_at_checked(MESSAGE_HEADER_BYTES) else { continue };
-                let id = u16::from_le_bytes([header[0], header[1]]);
-                let Some(channel) = self.channels.get_mut(&id) else { continue };
-                channel.messages += 1;
-                let Some(fields) = &channel.fields else { continue };
-                let log_time = u64::from_le_bytes(std::array::from_fn(|index| header[6 + index]));
-                if let Err(error) = fields.pick(data, &mut self.picked).or_else(|_| pick_with_nan(fields, data, &mut self.picked)) {
-                    self.unreadable += 1;
-                    self.first_unreadable.get_or_insert_with(|| format!("at {log_time} ns: {error}"));
-                    continue;
+            match self.file.next_record(&mut self.message) {
+                Err(error) => return Err(self.io(&error)),
+                Ok(None) if self.given == 0 => return Err(self.nothing_matched()),
+                Ok(None) => return Ok(None),
+                Ok(Some(op::MESSAGE)) if self.message.len() >= MESSAGE_HEADER_BYTES => {
+                    if !self.summary_asked && !self.channels.contains_key(&channel_id(&self.message)) {
+                        self.ask_summary()?;
+                    }
+                    if let Some(sample) = self.take_message() {
+                        return Ok(Some(sample));
+                    }
                 }
-                let mut has_command = false;
-                for (signal, value) in &self.picked.values {
-                    self.held.set(*signal, *value);
-                    has_command |= *signal == Signal::Command;
+                Ok(Some(op::CHANNEL)) => {
+                    if let Some(Record::Channel(channel)) = parse(op::CHANNEL, &self.message) {
+                        self.add_channel(channel.id, channel.topic, channel.message_encoding)?;
+                    }
                 }
-                if has_command {
-                    let time_ns = self.picked.time_s.map_or(log_time as i64, |time_s| (time_s * 1e9).round() as i64);
-                    self.given += 1;
-                    self.held.time_ns = time_ns;
-                    return Ok(Some(self.held));
-                }
-            } else if opcode == op::CHANNEL {
-                let channel = match parse(opcode, content) {
-                    Some(Record::Channel(channel)) => channel,
-                    _ => continue,
-                };
-                self.add_channel(channel.id, channel.topic, channel.message_encoding)?;
+                Ok(Some(_)) => {}
             }
         }
     }
 
     fn notes(&self) -> Vec<String> {
-        let mut notes: Vec<String> = self.damage_notes().into_iter().map(|note| format!("{}: {note}", self.name)).collect();
+        let mut notes: Vec<String> =
+            self.damage_notes().into_iter().map(|note| format!("{}: {note}", self.name)).collect();
         if self.unreadable > 0 {
             let first = self.first_unreadable.as_deref().unwrap_or_default();
-            notes.push(format!("{}: {} messages left out as unreadable, the first {first}", self.name, self.unreadable));
+            notes.push(format!(
+                "{}: {} messages left out as unreadable, the first {first}",
+                self.name, self.unreadable
+            ));
         }
         notes
     }

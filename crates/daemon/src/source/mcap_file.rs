@@ -8,6 +8,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
 use mcap::records::{Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
 
 use super::MCAP_MAGIC;
 
@@ -35,8 +36,6 @@ pub struct McapFile<R> {
     length: u64,
     at: u64,
     chunk: Option<Chunk>,
-    /// The record at hand.
-    record: Vec<u8>,
     /// What was damaged so far.
     pub damage: Damage,
     ended: bool,
@@ -54,21 +53,24 @@ impl<R: Read + Seek> McapFile<R> {
         let mut magic = [0; 8];
         input.read_exact(&mut magic)?;
         if &magic != MCAP_MAGIC {
-            return Err(io::Error::new(io::ErrorKind::InvalidData, "the first bytes are not those of an MCAP file"));
+            return Err(io::Error::new(
+                io::ErrorKind::InvalidData,
+                "the first bytes are not those of an MCAP file",
+            ));
         }
-        let (damage, record) = (Damage::default(), Vec::new());
-        Ok(McapFile { input, length, at: 8, chunk: None, record, damage, ended: false })
+        Ok(McapFile { input, length, at: 8, chunk: None, damage: Damage::default(), ended: false })
     }
 
-    /// Opcode and content of the next record; `None` after the data section, or where the file ends.
+    /// Puts the next record's content into `record` and gives its opcode; `None` after the data section, or where
+    /// the file ends.
     ///
     /// # Errors
     /// Reading failed; damages are no error.
-    pub fn next_record(&mut self) -> io::Result<Option<(u8, &[u8])>> {
+    pub fn next_record(&mut self, record: &mut Vec<u8>) -> io::Result<Option<u8>> {
         loop {
             if let Some(chunk) = &mut self.chunk {
-                match chunk.next_record(&mut self.record) {
-                    Some(Ok(opcode)) => return Ok(Some((opcode, &self.record))),
+                match chunk.next_record(record) {
+                    Some(Ok(opcode)) => return Ok(Some(opcode)),
                     Some(Err(_)) if !chunk.cut => {
                         self.damage.chunks += 1;
                         self.damage.first_at.get_or_insert(chunk.begin);
@@ -80,14 +82,14 @@ impl<R: Read + Seek> McapFile<R> {
             if self.ended {
                 return Ok(None);
             }
-            if let Some(opcode) = self.file_record()? {
-                return Ok(Some((opcode, &self.record)));
+            if let Some(opcode) = self.file_record(record)? {
+                return Ok(Some(opcode));
             }
         }
     }
 
     /// Reads the next record of the file itself: its opcode, or `None` where it opened a chunk or ended the file.
-    fn file_record(&mut self) -> io::Result<Option<u8>> {
+    fn file_record(&mut self, record: &mut Vec<u8>) -> io::Result<Option<u8>> {
         let Some((opcode, length)) = self.prefix()? else { return Ok(None) };
         if opcode == op::DATA_END || opcode == op::FOOTER {
             self.ended = true;
@@ -108,8 +110,8 @@ impl<R: Read + Seek> McapFile<R> {
             self.input.seek(SeekFrom::Start(self.at))?;
             return Ok(None);
         }
-        self.record.resize(there as usize, 0);
-        self.input.read_exact(&mut self.record)?;
+        record.resize(there as usize, 0);
+        self.input.read_exact(record)?;
         if cut && self.damage.first_at.is_none() && opcode != op::CHUNK && self.resumes_within(begin)? {
             return Ok(None);
         }
@@ -118,7 +120,7 @@ impl<R: Read + Seek> McapFile<R> {
             self.ended = true;
         }
         if opcode == op::CHUNK {
-            self.chunk = Some(Chunk::new(std::mem::take(&mut self.record), begin, length, cut));
+            self.chunk = Some(Chunk::new(std::mem::take(record), begin, length, cut));
             return Ok(None);
         }
         Ok((!cut).then_some(opcode))
@@ -134,6 +136,44 @@ impl<R: Read + Seek> McapFile<R> {
         self.damage = Damage { skipped_bytes: 0, first_at: None, ..self.damage.clone() };
         self.at = end;
         Ok(false)
+    }
+
+    /// Identifier, topic and encoding of the channels in the file's summary: where the chunk that announced a
+    /// channel is damaged, the summary still knows it. Reading goes on where it stood.
+    ///
+    /// # Errors
+    /// Reading failed; a summary that is missing or damaged is an empty list.
+    pub fn summary_channels(&mut self) -> io::Result<Vec<(u16, String, String)>> {
+        let stood = self.input.stream_position()?;
+        let summary = self.read_summary();
+        self.input.seek(SeekFrom::Start(stood))?;
+        let channels = summary.map(|summary| summary.channels).unwrap_or_default();
+        let mut listed: Vec<_> = channels
+            .values()
+            .map(|channel| (channel.id, channel.topic.clone(), channel.message_encoding.clone()))
+            .collect();
+        listed.sort();
+        Ok(listed)
+    }
+
+    fn read_summary(&mut self) -> Option<mcap::Summary> {
+        let options = SummaryReaderOptions::default()
+            .with_file_size(self.length)
+            .with_record_length_limit(MAX_RECORD_BYTES as usize);
+        let mut reader = SummaryReader::new_with_options(options);
+        while let Some(event) = reader.next_event() {
+            match event.ok()? {
+                SummaryReadEvent::ReadRequest(wanted) => {
+                    let read = self.input.read(reader.insert(wanted)).ok()?;
+                    reader.notify_read(read);
+                }
+                SummaryReadEvent::SeekRequest(to) => {
+                    let at = self.input.seek(to).ok()?;
+                    reader.notify_seeked(at);
+                }
+            }
+        }
+        reader.finish()
     }
 
     /// Opcode and length of the record at hand; notes a cut where there is not even that.
@@ -158,7 +198,8 @@ impl<R: Read + Seek> McapFile<R> {
         loop {
             self.input.seek(SeekFrom::Start(from))?;
             let there = read_up_to(&mut self.input, &mut window)?;
-            let found = (0..there).find(|at| chunk_begins(&window[*at..there], self.length - from - *at as u64));
+            let found =
+                (0..there).find(|at| chunk_begins(&window[*at..there], self.length - from - *at as u64));
             if let Some(at) = found {
                 self.at = from + at as u64;
                 self.damage.skipped_bytes += self.at - damaged_at;

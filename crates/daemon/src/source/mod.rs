@@ -36,7 +36,12 @@ pub const MCAP_MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 pub fn open(path: &Path, config: &Config, topic: Option<&str>) -> Result<Box<dyn Source>, Failure> {
     let mapping = config.mapping(topic);
     if path == Path::new("-") {
-        return Ok(Box::new(csv::CsvSource::new(std::io::stdin(), "standard input", mapping, &config.time_column)?));
+        return Ok(Box::new(csv::CsvSource::new(
+            std::io::stdin(),
+            "standard input",
+            mapping,
+            &config.time_column,
+        )?));
     }
     let reading = |error| Failure::reading(path, &error);
     let mut file = File::open(path).map_err(reading)?;
@@ -62,5 +67,6 @@ pub fn open(path: &Path, config: &Config, topic: Option<&str>) -> Result<Box<dyn
 
 fn looks_like_text(head: &[u8]) -> bool {
     let printable = |byte: &u8| matches!(byte, b'\t' | b'\n' | b'\r' | 0x20..=0x7e | 0x80..);
-    head.iter().all(printable) && std::str::from_utf8(head).map_or_else(|error| error.error_len().is_none(), |_| true)
+    head.iter().all(printable)
+        && std::str::from_utf8(head).map_or_else(|error| error.error_len().is_none(), |_| true)
 }

@@ -36,8 +36,20 @@ impl Effect for ExternalLeak {
     }
     fn parameters(&self) -> &'static [Parameter] {
         &[
-            Parameter { name: "cap_m3_per_s_pa", unit: "m3/(s Pa)", neutral: 0.0, range: RANGE, source: SOURCE },
-            Parameter { name: "rod_m3_per_s_pa", unit: "m3/(s Pa)", neutral: 0.0, range: RANGE, source: SOURCE },
+            Parameter {
+                name: "cap_m3_per_s_pa",
+                unit: "m3/(s Pa)",
+                neutral: 0.0,
+                range: RANGE,
+                source: SOURCE,
+            },
+            Parameter {
+                name: "rod_m3_per_s_pa",
+                unit: "m3/(s Pa)",
+                neutral: 0.0,
+                range: RANGE,
+                source: SOURCE,
+            },
         ]
     }
     fn law_text(&self) -> &'static str {
