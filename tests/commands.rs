@@ -1,1 +1,282 @@
-//! x
+//! The commands as a user runs them.
+
+mod support;
+
+use std::fs;
+
+use support::{estimates, fixture, reasons, replay, seepd, simulate, stderr, stdout, summary};
+
+fn close(value: f64, expected: f64, share: f64) {
+    assert!((value / expected - 1.0).abs() <= share, "{value} {expected}");
+}
+
+#[test]
+fn demo_leaves_a_log_and_a_self_contained_page_and_tells_when_flags_rose() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = stdout(&seepd(["demo", "--cycles", "60", "--folder", folder.path().to_str().unwrap()]));
+    for flag in ["watch rose in cycle", "leak rose in cycle", "severe rose in cycle"] {
+        assert!(text.contains(flag), "{text}");
+    }
+    let error: f64 = text.split("threshold: ").last().unwrap().split(' ').next().unwrap().parse().unwrap();
+    assert!(error < 4.0, "{text}");
+    let page = fs::read_to_string(folder.path().join("demo.html")).unwrap();
+    assert_eq!(page.matches("<svg").count(), 3);
+    assert!(page.contains("prefers-color-scheme:dark") && page.contains("@media print"));
+    for outside in ["http:", "https:", "src=", "@import", "url("] {
+        assert!(!page.contains(outside), "{outside}");
+    }
+    // The log is one as any other.
+    let lines = replay(&folder.path().join("press.mcap"), &[]);
+    assert_eq!(summary(&lines)["cycles"], 60);
+    assert_eq!(summary(&lines)["highest_flag"], "severe");
+}
+
+#[test]
+fn replay_estimates_what_simulate_planted() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.mcap");
+    // Twice the median error that training reports for each decade, and room for a single machine.
+    for (area, share) in [("8e-8", 0.15), ("5e-7", 0.05), ("3e-6", 0.04)] {
+        simulate(&log, &["--cycles", "5", "--leak-area", area, "--seed", "3"]);
+        let found = estimates(&replay(&log, &[]));
+        assert_eq!(found.len(), 5);
+        found.iter().for_each(|found| close(*found, area.parse().unwrap(), share));
+    }
+    simulate(&log, &["--cycles", "5"]);
+    assert!(estimates(&replay(&log, &[])).iter().all(|area| *area < 3e-8));
+}
+
+#[test]
+fn replay_lines_follow_the_contract() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.mcap");
+    simulate(&log, &["--cycles", "4", "--leak-area", "1e-6", "--start-at", "3"]);
+    let lines = replay(&log, &[]);
+    assert_eq!(lines.len(), 5);
+    let rejected = &lines[0];
+    assert_eq!(
+        (rejected["flag"].as_str(), rejected["reason"].as_str()),
+        (Some("no_estimate"), Some("incomplete"))
+    );
+    assert!(rejected["leak_area_m2"].is_null() && rejected.get("features").is_none());
+    for (index, line) in lines[1..4].iter().enumerate() {
+        assert_eq!(line["schema"], "seepd.cycle/1");
+        assert_eq!(line["axis"], "axis");
+        assert_eq!(line["cycle"], index as u64 + 1);
+        // Cycles begin at 7, 17, 27 s of this log; the demand tells to a sample.
+        assert!((line["t_start_s"].as_f64().unwrap() - (7.0 + 10.0 * index as f64)).abs() < 2e-3);
+        assert!((line["t_end_s"].as_f64().unwrap() - (17.0 + 10.0 * index as f64)).abs() < 0.05);
+        let area = line["leak_area_m2"].as_f64().unwrap();
+        let interval = line["interval90_m2"].as_array().unwrap();
+        assert!(interval[0].as_f64().unwrap() <= area && area <= interval[1].as_f64().unwrap());
+        // 0.7 A √(2 · 7 MPa / 870 kg/m³).
+        let flow = 0.7 * area * (2.0f64 * 7e6 / 870.0).sqrt() * 60e3;
+        close(line["leak_flow_lpm"].as_f64().unwrap(), flow, 1e-12);
+        assert_eq!(line["reference_dp_pa"], 7e6);
+        assert!(line["features"]["mean"].as_f64().unwrap() < -0.01);
+        assert!(line["reason"].is_null());
+    }
+    let summary = summary(&lines);
+    assert_eq!(summary["samples"], 37_000);
+    assert_eq!(summary["cycles"], 3);
+    assert_eq!(summary["rejected"]["incomplete"], 1);
+    assert_eq!(summary["flag"], "severe");
+    let at_14 = replay(&log, &["--reference-mpa", "14"]);
+    let ratio = at_14[1]["leak_flow_lpm"].as_f64().unwrap() / lines[1]["leak_flow_lpm"].as_f64().unwrap();
+    close(ratio, 2f64.sqrt(), 1e-12);
+}
+
+#[test]
+fn every_compression_and_signal_set_gives_the_same_estimates() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.mcap");
+    let mut all = Vec::new();
+    for compression in ["zstd", "lz4", "none"] {
+        simulate(&log, &["--cycles", "3", "--leak-area", "3e-7", "--compression", compression]);
+        all.push(estimates(&replay(&log, &[])));
+    }
+    simulate(&log, &["--cycles", "3", "--leak-area", "3e-7", "--no-truth"]);
+    all.push(estimates(&replay(&log, &[])));
+    assert!(all.iter().all(|found| *found == all[0] && found.len() == 3), "{all:?}");
+    // Without the demand the start of a cycle is read off the strokes.
+    simulate(&log, &["--cycles", "3", "--leak-area", "3e-7", "--command-only"]);
+    estimates(&replay(&log, &[])).iter().for_each(|found| close(*found, 3e-7, 0.05));
+}
+
+#[test]
+fn same_seed_same_log_to_the_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let [a, b, c] = ["a", "b", "c"].map(|name| folder.path().join(name));
+    let with_seed = |seed: &'static str| {
+        ["--cycles", "2", "--load-variation", "0.05", "--noise", "0.003", "--seed", seed]
+    };
+    simulate(&a, &with_seed("5"));
+    simulate(&b, &with_seed("5"));
+    simulate(&c, &with_seed("6"));
+    assert_eq!(fs::read(&a).unwrap(), fs::read(&b).unwrap());
+    assert_ne!(fs::read(&a).unwrap(), fs::read(&c).unwrap());
+}
+
+/// Logs by other hands of the machine that has a leak of 1e-6 m²: one written in Python, one as CSV without noise.
+#[test]
+fn reference_logs_of_others_give_their_leak() {
+    let python = estimates(&replay(&fixture("python_written_leak_1e-6.mcap"), &[]));
+    assert_eq!(python.len(), 2, "26.5 s from the middle of a cycle hold two whole ones");
+    python.iter().for_each(|found| close(*found, 1e-6, 0.03));
+    for (file, area) in [("nominal_leak_1e-6.csv", 1e-6), ("nominal_leak_1e-5.csv", 1e-5)] {
+        let found = estimates(&replay(&fixture(file), &[]));
+        assert_eq!(found.len(), 1);
+        close(found[0], area, 0.03);
+    }
+    assert!(estimates(&replay(&fixture("nominal_leak_0.csv"), &[]))[0] < 3e-8);
+}
+
+#[test]
+fn flags_rise_with_a_step_and_every_change_is_an_event() {
+    let folder = tempfile::tempdir().unwrap();
+    let [log, events, table] = ["log.mcap", "events.mcap", "cycles.csv"].map(|name| folder.path().join(name));
+    simulate(&log, &["--cycles", "12", "--leak-step", "2e-7@5", "--command-only"]);
+    let arguments = [
+        "replay",
+        "--json",
+        "--fail-on-fault",
+        "--mcap",
+        events.to_str().unwrap(),
+        "--csv",
+        table.to_str().unwrap(),
+        log.to_str().unwrap(),
+    ];
+    let output = seepd(arguments);
+    assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+    let flags: Vec<String> = String::from_utf8(output.stdout)
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap())
+        .filter(|line| line["schema"] == "seepd.cycle/1")
+        .map(|line| line["flag"].as_str().unwrap().to_owned())
+        .collect();
+    // The step is seen in cycle 5, and three cycles must agree.
+    assert_eq!(flags[..7], ["healthy"; 7]);
+    assert_eq!(flags[7..], ["leak"; 5]);
+    let rows = fs::read_to_string(&table).unwrap();
+    assert_eq!(rows.lines().count(), 13);
+    assert!(rows.lines().next().unwrap().starts_with("axis,cycle,t_start_s,"));
+
+    let bytes = fs::read(&events).unwrap();
+    let messages: Vec<_> = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
+    let on = |topic: &str| -> Vec<serde_json::Value> {
+        messages
+            .iter()
+            .filter(|m| m.channel.topic == topic)
+            .map(|m| serde_json::from_slice(&m.data).unwrap())
+            .collect()
+    };
+    assert_eq!(on("/axis/leakage").len(), 12);
+    let changes = on("/axis/flags");
+    assert_eq!(changes.len(), 2);
+    assert_eq!(
+        (&changes[0]["flag_from"], &changes[0]["flag_to"]),
+        (&"no_estimate".into(), &"healthy".into())
+    );
+    let raise = &changes[1];
+    assert_eq!(
+        (&raise["flag_from"], &raise["flag_to"], &raise["cycle"]),
+        (&"healthy".into(), &"leak".into(), &7.into())
+    );
+    assert_eq!(raise["evidence"]["cycles"], 3);
+    assert_eq!(raise["evidence"]["threshold_lpm"], 0.6);
+    assert!(raise["evidence"]["lowest_lpm"].as_f64().unwrap() >= 0.6);
+}
+
+#[test]
+fn log_carries_its_provenance_and_truth_apart() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.mcap");
+    simulate(&log, &["--cycles", "1", "--seed", "42", "--with", "valve_deadband.half_width=0.02"]);
+    let bytes = fs::read(&log).unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    let topics: Vec<&str> = {
+        let mut topics: Vec<&str> = summary.channels.values().map(|channel| channel.topic.as_str()).collect();
+        topics.sort_unstable();
+        topics
+    };
+    assert_eq!(topics, ["/axis/signals", "/axis/truth"]);
+    let metadata = mcap::read::metadata(&bytes, &summary.metadata_indexes[0]).unwrap().metadata;
+    assert_eq!(metadata["seed"], "42");
+    assert_eq!(metadata["effects"], "valve_deadband.half_width=0.02");
+    let attachment = mcap::read::attachment(&bytes, &summary.attachment_indexes[0]).unwrap();
+    let plant = seepd_sim::MachineSpec::from_toml(std::str::from_utf8(&attachment.data).unwrap()).unwrap();
+    assert_eq!(plant.effects["valve_deadband"]["half_width"], 0.02);
+    let first = mcap::MessageStream::new(&bytes).unwrap().next().unwrap().unwrap();
+    let message: serde_json::Value = serde_json::from_slice(&first.data).unwrap();
+    let mut keys: Vec<&str> = message.as_object().unwrap().keys().map(String::as_str).collect();
+    keys.sort_unstable();
+    assert_eq!(keys, ["command", "demand", "load", "p_cap", "p_inlet", "p_rod", "p_supply", "position"]);
+}
+
+#[test]
+fn mapping_reads_other_topics_fields_and_units() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    let turns = ["--cycles", "3", "--leak-area", "1e-6", "--topic-prefix", "/press/2"];
+    simulate(&path("log.mcap"), &turns);
+    let plain = estimates(&replay(&path("log.mcap"), &[]));
+    let config =
+        "axis = \"press-2\"\nmodel = \"model.json\"\n[signals.command]\ntopic = \"/press/2/signals\"\n";
+    fs::write(path("seepd.toml"), config).unwrap();
+    fs::write(path("model.json"), seepd::EMBEDDED_MODEL).unwrap();
+    let lines = replay(&path("log.mcap"), &["--config", path("seepd.toml").to_str().unwrap()]);
+    assert_eq!(lines[0]["axis"], "press-2");
+    estimates(&lines).iter().zip(&plain).for_each(|(a, b)| close(*a, *b, 0.01));
+
+    // A CSV in percent with other column names, from standard input too.
+    let rows = fs::read_to_string(fixture("nominal_leak_1e-6.csv")).unwrap();
+    let percent: String = rows
+        .lines()
+        .enumerate()
+        .map(|(number, row)| {
+            let fields: Vec<&str> = row.split(',').collect();
+            match number {
+                0 => "seconds,valve %\n".to_owned(),
+                _ => format!("{},{}\n", fields[0], fields[1].parse::<f64>().unwrap() * 100.0),
+            }
+        })
+        .collect();
+    fs::write(path("log.csv"), percent).unwrap();
+    fs::write(
+        path("csv.toml"),
+        "time_column = \"seconds\"\n[signals.command]\nfield = \"valve %\"\nscale = 0.01\n",
+    )
+    .unwrap();
+    let found = estimates(&replay(&path("log.csv"), &["--config", path("csv.toml").to_str().unwrap()]));
+    close(found[0], 1e-6, 0.03);
+}
+
+#[test]
+fn logs_in_a_row_are_one_record() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.mcap");
+    simulate(&log, &["--cycles", "3", "--command-only"]);
+    // The same log again is the same cycles again: rejected, not counted twice.
+    let lines = replay(&log, &[log.to_str().unwrap()]);
+    assert_eq!(summary(&lines)["cycles"], 3);
+    assert_eq!(reasons(&lines), ["duplicate"; 3]);
+}
+
+#[test]
+fn help_tells_examples_and_exit_codes() {
+    let top = stdout(&seepd(["--help"]));
+    assert!(top.contains("Exit codes: 0 good, 1 a finding"));
+    for command in ["demo", "simulate", "train", "replay"] {
+        let text = stdout(&seepd([command, "--help"]));
+        assert!(text.contains("Example"), "{command}");
+    }
+    assert!(stdout(&seepd(["--version"])).starts_with("seepd 0."));
+}
+
+#[test]
+fn no_colour_reaches_a_file() {
+    let text = stdout(&seepd(["replay", fixture("python_written_leak_1e-6.mcap").to_str().unwrap()]));
+    assert!(!text.contains('\u{1b}'));
+    assert!(text.contains("L/min at 7 MPa"));
+}

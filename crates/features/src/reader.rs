@@ -5,7 +5,7 @@ use seepd_signals::{Sample, Signal};
 use crate::feature::Feature;
 use crate::intake::{Counts, IntakeState, Verdict};
 use crate::kalman::{Kalman, KalmanState};
-use crate::segment::{CycleDefinition, Finding, SegmentState, Span};
+use crate::segment::{CycleDefinition, Finding, Orphan, SegmentState, Span};
 use crate::statistics::{CycleStatistics, RingView};
 
 /// Why a cycle is not used.
@@ -120,18 +120,39 @@ pub struct CycleState<B> {
     counts_before: Counts,
     /// A cycle whose last samples are still to come.
     open: Option<Span>,
-    /// Why the stretch began, until a cycle shows that nothing was lost, or that it was.
-    pending: Option<Reason>,
-    /// The cycle that the next orphaned stroke belongs to has been reported already.
-    reported: bool,
-    /// End and reason of an orphaned stroke that no cycle has been found around yet.
-    orphan: Option<(i64, Reason)>,
+    stretch: Stretch,
+    /// An orphaned stroke that no cycle has been found around yet.
+    orphan: Option<Orphan>,
     /// Standstills: first and last sample number.
     runs: [(i64, i64); REMEMBERED_RUNS],
     run_start: i64,
     starts: StartMarks,
     seen: [SeenCycle; REMEMBERED_CYCLES],
     seen_count: usize,
+}
+
+/// A run of samples without a break; its samples are numbered from 0.
+#[derive(Debug, Clone, Copy)]
+struct Stretch {
+    /// Why it began, and so why cycles that began before it are lost.
+    reason: Reason,
+    /// End of the last cycle that was reported, used or not, in this stretch's numbers; `None` before the first.
+    reported_end: Option<i64>,
+    /// Whether a cycle has shown what the break cost.
+    accounted: bool,
+}
+
+impl Default for Stretch {
+    fn default() -> Self {
+        Stretch { reason: Reason::Incomplete, reported_end: None, accounted: false }
+    }
+}
+
+impl Stretch {
+    /// Whether the cycle with that end has been reported already, give or take a quarter of a period.
+    fn has_reported(&self, end: i64, period: i64) -> bool {
+        self.reported_end.is_some_and(|reported| end <= reported + period / 4)
+    }
 }
 
 /// What a repeated cycle is recognised by.
@@ -178,8 +199,7 @@ impl<B: AsRef<[f32]> + AsMut<[f32]>> CycleState<B> {
             last_command: 0.0,
             counts_before: Counts::default(),
             open: None,
-            pending: None,
-            reported: false,
+            stretch: Stretch::default(),
             orphan: None,
             runs: [(0, 0); REMEMBERED_RUNS],
             run_start: 0,
@@ -256,7 +276,9 @@ impl<'m> CycleReader<'m> {
                 self.take(state, command, sink);
             }
             Verdict::Restart { command, reason } => {
-                self.restart(state, reason, sink);
+                let lost_ns = sample.time_ns.saturating_sub(state.last_ns).max(0);
+                let lost = libm::round(lost_ns as f64 / self.period_ns) as i64 - 1;
+                self.restart(state, reason, lost.max(0), sink);
                 state.last_ns = sample.time_ns;
                 state.last_command = command;
                 self.take(state, command, sink);
@@ -271,37 +293,41 @@ impl<'m> CycleReader<'m> {
         state: &mut CycleState<B>,
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
-        self.restart(state, Reason::Incomplete, sink);
+        self.restart(state, Reason::Incomplete, 0, sink);
     }
 
-    /// Forgets the samples: what was under way is lost for `reason`.
+    /// Forgets the samples: what was under way is lost for `reason`; the next sample comes `lost` samples later.
     fn restart<B: AsRef<[f32]> + AsMut<[f32]>>(
         &self,
         state: &mut CycleState<B>,
         reason: Reason,
+        lost: i64,
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
-        let bearable = self.bearable_samples();
-        if let Some(span) = state.open.filter(|span| span.end - state.next <= bearable) {
-            state.open = None;
-            self.close(state, &span, sink);
-        }
-        let spoilt = state.open.is_some() || state.segment.is_amid_cycle(&self.definition, state.next);
-        if state
-            .orphan
-            .is_some_and(|(end, _)| spoilt && state.next - end < self.definition.cycle_samples() as i64)
+        if let Some(span) = state.open.take() {
+            if span.end - state.next <= self.bearable_samples() {
+                self.close(state, &span, sink);
+            } else {
+                self.reject(state, span.start, span.end, reason, sink);
+            }
+        } else if let Some((start, correlation)) = state.segment.cycle_under_way(&self.definition, state.next)
         {
-            // A bump within the cycle that is being spoilt.
-            state.orphan = None;
+            // Of two strokes at the wrong distance one is a bump: the one that matches worse.
+            let is_bump =
+                state.orphan.is_some_and(|orphan| orphan.end > start && orphan.correlation > correlation);
+            if !is_bump {
+                state.orphan = state.orphan.filter(|orphan| orphan.end <= start);
+                self.reject_orphan(state, sink);
+                self.reject(state, start, start + self.definition.cycle_samples() as i64, reason, sink);
+            }
         }
         self.reject_orphan(state, sink);
-        if spoilt {
-            let start = state.open.map_or(state.view().oldest(), |open| open.start);
-            self.reject(state, start, state.next, reason, sink);
-        }
-        state.reported = spoilt && state.open.is_none();
-        state.pending = (!spoilt).then_some(reason);
-        state.open = None;
+        let begins = state.next + lost;
+        state.stretch = Stretch {
+            reason,
+            reported_end: state.stretch.reported_end.map(|end| end.saturating_sub(begins)),
+            accounted: false,
+        };
         state.segment = SegmentState::default();
         state.kalman = KalmanState::default();
         state.filled = 0;
@@ -334,7 +360,7 @@ impl<'m> CycleReader<'m> {
         state.next += 1;
         match state.segment.push(&self.definition, number, filtered) {
             Some(Finding::Cycle(span)) => self.found(state, span, sink),
-            Some(Finding::OrphanedLastStroke(end)) => self.orphaned(state, end, sink),
+            Some(Finding::OrphanedLastStroke(orphan)) => self.orphaned(state, orphan, sink),
             None => {}
         }
         if let Some(span) = state.open.filter(|span| state.next >= span.end) {
@@ -409,24 +435,34 @@ impl<'m> CycleReader<'m> {
         if let Some(mark) = self.marked_start(state, span.start) {
             span.start = mark;
         }
-        match state.orphan {
-            Some((end, reason)) if end > span.start => {
-                state.orphan = None;
-                state.pending.get_or_insert(reason);
+        // An orphaned stroke within the cycle was a bump.
+        state.orphan = state.orphan.filter(|orphan| orphan.end <= span.start);
+        self.reject_orphan(state, sink);
+        if span.start < -self.bearable_samples() {
+            if !state.stretch.has_reported(span.end, self.definition.cycle_samples() as i64) {
+                self.reject(state, span.start, span.end, state.stretch.reason, sink);
             }
-            _ => self.reject_orphan(state, sink),
-        }
-        let missing = state.view().oldest() - span.start;
-        let bearable = self.bearable_samples();
-        let pending = state.pending.take();
-        let reported = core::mem::take(&mut state.reported);
-        if missing > bearable {
-            if !reported {
-                self.reject(state, span.start, span.end, pending.unwrap_or(Reason::Incomplete), sink);
-            }
+            state.stretch.accounted = true;
             return;
         }
+        self.account_for_break(state, sink);
         state.open = Some(span);
+    }
+
+    /// A break that swallowed both strokes of a cycle, or whole cycles, has left nothing to find: the time since
+    /// the last reported cycle tells.
+    fn account_for_break<B: AsRef<[f32]> + AsMut<[f32]>>(
+        &self,
+        state: &mut CycleState<B>,
+        sink: &mut impl FnMut(Outcome<'_>),
+    ) {
+        let accounted = core::mem::replace(&mut state.stretch.accounted, true);
+        if let Some(end) = state.stretch.reported_end
+            && !accounted
+            && -end > self.definition.cycle_samples() as i64 / 2
+        {
+            self.reject(state, end, 0, state.stretch.reason, sink);
+        }
     }
 
     /// A last stroke without its first: of a cycle that is not all there, or a bump within a cycle that a large leak
@@ -434,20 +470,21 @@ impl<'m> CycleReader<'m> {
     fn orphaned<B: AsRef<[f32]> + AsMut<[f32]>>(
         &self,
         state: &mut CycleState<B>,
-        end: i64,
+        orphan: Orphan,
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
-        if state.reported && state.orphan.is_none() {
-            state.reported = false;
+        let period = self.definition.cycle_samples() as i64;
+        let cycle_end = orphan.end + self.samples_after_last_stroke();
+        if state.stretch.has_reported(cycle_end, period) {
+            state.stretch.accounted = true;
             return;
         }
-        if let Some((before, _)) = state.orphan
-            && end - before > self.definition.cycle_samples() as i64 / 2
-        {
-            self.reject_orphan(state, sink);
+        match state.orphan {
+            Some(before) if orphan.end - before.end > period / 2 => self.reject_orphan(state, sink),
+            Some(before) if before.correlation >= orphan.correlation => return,
+            _ => {}
         }
-        let reason = state.pending.take().unwrap_or(Reason::Incomplete);
-        state.orphan.get_or_insert((end, reason));
+        state.orphan = Some(orphan);
     }
 
     fn reject_orphan<B: AsRef<[f32]> + AsMut<[f32]>>(
@@ -455,10 +492,19 @@ impl<'m> CycleReader<'m> {
         state: &mut CycleState<B>,
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
-        if let Some((end, reason)) = state.orphan.take() {
-            let start = (end - self.definition.cycle_samples() as i64).max(0);
-            self.reject(state, start, end, reason, sink);
+        if let Some(orphan) = state.orphan.take() {
+            let end = orphan.end + self.samples_after_last_stroke();
+            let start = end - self.definition.cycle_samples() as i64;
+            let reason = if start < 0 { state.stretch.reason } else { Reason::Incomplete };
+            state.stretch.accounted |= start < 0;
+            self.reject(state, start.max(0), end, reason, sink);
         }
+    }
+
+    /// Samples from the last stroke's anchor to the cycle's end, as planned.
+    fn samples_after_last_stroke(&self) -> i64 {
+        let definition = &self.definition;
+        libm::round((definition.period_s - definition.anchors[1].end_s) * definition.sample_rate_hz) as i64
     }
 
     fn reject<B: AsRef<[f32]> + AsMut<[f32]>>(
@@ -470,6 +516,7 @@ impl<'m> CycleReader<'m> {
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
         state.counts_before = state.counts;
+        state.stretch.reported_end = Some(end);
         let period_ns = self.period_ns;
         sink(Outcome::Rejected(RejectedCycle {
             start_ns: state.time_ns(start, period_ns),
@@ -500,6 +547,7 @@ impl<'m> CycleReader<'m> {
             return;
         }
         state.counts_before = state.counts;
+        state.stretch.reported_end = Some(span.end);
         sink(Outcome::Valid(ValidCycle { start_ns, end_ns, features: wanted, statistics: &statistics }));
     }
 

@@ -145,8 +145,17 @@ pub struct Span {
 pub(crate) enum Finding {
     /// A cycle, of which the last samples may be still to come.
     Cycle(Span),
-    /// A last stroke without its first one at the planned distance; the sample number of its end.
-    OrphanedLastStroke(i64),
+    /// A last stroke without its first one at the planned distance.
+    OrphanedLastStroke(Orphan),
+}
+
+/// A stroke without its counterpart.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Orphan {
+    /// Sample number of its end.
+    pub(crate) end: i64,
+    /// How well it matches.
+    pub(crate) correlation: f64,
 }
 
 /// First strokes that are remembered until a last stroke looks back for its own.
@@ -180,11 +189,22 @@ impl Default for SegmentState {
 }
 
 impl SegmentState {
-    /// Whether a first stroke has been seen whose last stroke may still come, at sample `now`.
-    pub(crate) fn is_amid_cycle(&self, definition: &CycleDefinition<'_>, now: i64) -> bool {
+    /// Start of the cycle whose first stroke has been seen and whose last one may still come, at sample `now`, and how
+    /// well that stroke matches.
+    pub(crate) fn cycle_under_way(&self, definition: &CycleDefinition<'_>, now: i64) -> Option<(i64, f64)> {
         let longest =
             definition.planned_distance() + definition.tolerance_samples() + definition.confirm_samples();
-        self.last.is_some() || self.first.iter().flatten().any(|first| now as f64 - first.end < longest)
+        let mut best: Option<&Match> = None;
+        for first in self.first.iter().flatten().filter(|first| now as f64 - first.end < longest) {
+            if best.is_none_or(|best| first.correlation > best.correlation) {
+                best = Some(first);
+            }
+        }
+        let rate = definition.sample_rate_hz;
+        best.map(|first| {
+            let start = libm::round(first.end - definition.anchors[0].end_s * rate) as i64;
+            (start, first.correlation)
+        })
     }
 
     /// Takes sample number `now`.
@@ -258,7 +278,8 @@ impl SegmentState {
             }
         }
         let Some(first) = best else {
-            return Finding::OrphanedLastStroke(libm::round(last.end) as i64);
+            let end = libm::round(last.end) as i64;
+            return Finding::OrphanedLastStroke(Orphan { end, correlation: last.correlation });
         };
         self.first = [None; REMEMBERED];
         let rate = definition.sample_rate_hz;

@@ -191,6 +191,31 @@ fn gap_in_any_phase_rejects_that_cycle_alone() {
     }
 }
 
+/// Gaps of any place and length, some of them longer than a cycle: the cycles that they do not touch are all there,
+/// and what they cost is told with the right reason.
+#[test]
+fn property_gaps_cost_the_cycles_that_they_touch() {
+    for length in [150, 1_700, 6_000, 12_000, 25_000] {
+        for at in (10_100..29_000).step_by(887) {
+            let gap = at..at + length;
+            let damaged: Vec<Sample> =
+                LEAKY.iter().enumerate().filter(|(i, _)| !gap.contains(i)).map(|(_, s)| *s).collect();
+            let found = read(&damaged);
+            // The last and first 20 ms of a hold may be missing.
+            let untouched: Vec<i64> = (0..6)
+                .map(|cycle| cycle * 10_000)
+                .filter(|start| start + 9_960 <= gap.start as i64 || start + 20 >= gap.end as i64)
+                .collect();
+            assert_eq!(starts(&found), untouched, "{length} from {at}");
+            let rejected = rejections(&found);
+            assert!(
+                !rejected.is_empty() && rejected.iter().all(|reason| *reason == "gap"),
+                "{length} from {at}: {rejected:?}"
+            );
+        }
+    }
+}
+
 #[test]
 fn gap_of_a_few_samples_is_bridged() {
     let damaged: Vec<Sample> =

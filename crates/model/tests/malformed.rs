@@ -94,10 +94,17 @@ fn unknown_feature_schema_target_and_key_are_refused() {
     assert!(text.starts_with("model: features[3]: unknown feature `kurtosys`; known are mean, "), "{text}");
     let text = refusal(|file| file["schema"] = "seepd.model/2".into());
     assert_eq!(text, "model: schema: is `seepd.model/2`; this program reads `seepd.model/1`");
-    assert!(refusal(|file| file["unit"] = "mm2".into()).starts_with("model: target: is `leak_area` in `mm2`"));
+    assert!(
+        refusal(|file| file["unit"] = "mm2".into()).starts_with("model: target: is `leak_area` in `mm2`")
+    );
     assert!(refusal(|file| file["extra"] = 1.into()).contains("unknown field `extra`"));
-    assert!(refusal(|file| file["sample_rate_hz"] = (-1000).into()).starts_with("model: sample_rate_hz: is -1000;"));
-    assert!(refusal(|file| file["cycle"]["bin_samples"] = 0.into()).starts_with("model: cycle.period_s in bins"));
+    assert!(
+        refusal(|file| file["sample_rate_hz"] = (-1000).into())
+            .starts_with("model: sample_rate_hz: is -1000;")
+    );
+    assert!(
+        refusal(|file| file["cycle"]["bin_samples"] = 0.into()).starts_with("model: cycle.period_s in bins")
+    );
 }
 
 #[test]
@@ -128,7 +135,8 @@ fn analytic_estimate_of_two_stumps() {
     let mut file = SMALL.clone();
     file["features"] = serde_json::json!(["mean", "kurtosis"]);
     file["transform"] = serde_json::json!("identity");
-    file["calibration"] = serde_json::json!({"level": 0.9, "spread_floor": 0.5, "factors": [[1.0, 2.0], [3.0, 4.0]]});
+    file["calibration"] =
+        serde_json::json!({"level": 0.9, "spread_floor": 0.5, "factors": [[1.0, 2.0], [3.0, 4.0]]});
     file["trees"] = serde_json::json!([
         {"feature": [0, -1, -1], "value": [0.5, 1.0, 3.0], "right": [2, 0, 0]},
         {"feature": [-1], "value": [2.0], "right": [0]},

@@ -74,7 +74,7 @@ fn linear_ticks(from: f64, to: f64) -> Vec<f64> {
     }
     let power = 10f64.powf(raw.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|m| m * power).find(|step| *step >= raw).unwrap_or(raw);
-    let first = (from / step).ceil() as i64;
+    let first = (from / step - 1e-9).ceil() as i64;
     (first..).map(|k| k as f64 * step).take_while(|tick| *tick <= to + 1e-9 * step).take(20).collect()
 }
 

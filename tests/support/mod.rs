@@ -1,0 +1,66 @@
+//! What the whole-program tests share: running the program and reading its JSON lines.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+/// A fixture's path.
+pub(crate) fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures").join(name)
+}
+
+/// Runs the program.
+pub(crate) fn seepd<A: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = A>) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_seepd"))
+        .args(arguments)
+        .env_remove("NO_COLOR")
+        .output()
+        .expect("seepd starts")
+}
+
+/// Standard output of a run that must succeed.
+pub(crate) fn stdout(output: &Output) -> String {
+    assert!(output.status.success(), "{}", stderr(output));
+    String::from_utf8(output.stdout.clone()).expect("UTF-8")
+}
+
+/// Standard error.
+pub(crate) fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Simulates a log.
+pub(crate) fn simulate(out: &Path, more: &[&str]) {
+    let mut arguments = vec!["simulate", "--out", out.to_str().expect("UTF-8")];
+    arguments.extend(more);
+    stdout(&seepd(arguments));
+}
+
+/// The JSON lines of a replay.
+pub(crate) fn replay(log: &Path, more: &[&str]) -> Vec<Value> {
+    let mut arguments = vec!["replay", "--json", log.to_str().expect("UTF-8")];
+    arguments.extend(more);
+    stdout(&seepd(arguments)).lines().map(|line| serde_json::from_str(line).expect("a JSON line")).collect()
+}
+
+/// The estimates of a replay's cycles.
+pub(crate) fn estimates(lines: &[Value]) -> Vec<f64> {
+    lines.iter().filter_map(|line| line["cycle"].as_u64().and(line["leak_area_m2"].as_f64())).collect()
+}
+
+/// The reasons of a replay's rejected cycles.
+pub(crate) fn reasons(lines: &[Value]) -> Vec<String> {
+    lines
+        .iter()
+        .filter(|line| line["schema"] == "seepd.cycle/1")
+        .filter_map(|line| line["reason"].as_str().map(str::to_owned))
+        .collect()
+}
+
+/// The summary of a replay.
+pub(crate) fn summary(lines: &[Value]) -> &Value {
+    let last = lines.last().expect("a summary");
+    assert_eq!(last["schema"], "seepd.summary/1");
+    last
+}
