@@ -1,5 +1,7 @@
 //! Bad input, each with its own test: one clear line or a counted rejection, and every good sample is used.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
 mod support;
 
 use std::fs;

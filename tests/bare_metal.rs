@@ -3,6 +3,8 @@
 //! Needs the target `thumbv7em-none-eabihf` and `qemu-system-arm`, which `.ci/run` installs; without them the test
 //! says so and is counted as ignored by name: run it with `cargo test -p seepd --test bare_metal -- --ignored`.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
 use std::fmt::Write;
 use std::path::Path;
 use std::process::Command;

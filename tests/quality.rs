@@ -1,6 +1,8 @@
 //! What the shipped model is worth, on machines that it has not seen. The program's own training measures it; the same
 //! training rebuilds the model that the program brings.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
 use std::sync::LazyLock;
 
 use rayon::prelude::*;

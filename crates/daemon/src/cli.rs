@@ -1,6 +1,6 @@
 //! The command line.
 
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
@@ -81,9 +81,4 @@ fn tell_usage(error: &clap::Error) -> ExitCode {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => ExitCode::SUCCESS,
         _ => ExitCode::from(Code::Usage as u8),
     }
-}
-
-/// Whether progress and colours make sense on standard error.
-pub(crate) fn is_interactive() -> bool {
-    std::io::stderr().is_terminal()
 }

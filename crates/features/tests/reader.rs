@@ -1,5 +1,7 @@
 //! Segmentation and features on simulated commands, whole and damaged. The reader is the embedded model's.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
 use std::sync::LazyLock;
 
 use proptest::prelude::*;

@@ -87,7 +87,8 @@ impl Model {
         ];
         for (expected, given) in pairs {
             let scale = libm::fabs(expected).max(1e-12);
-            if !(libm::fabs(expected - given) <= GOLDEN_TOLERANCE * scale) {
+            let agrees = libm::fabs(expected - given) <= GOLDEN_TOLERANCE * scale;
+            if !agrees {
                 return Err(format!(
                     "expects {expected:e}, the model gives {given:e}: the file was altered or is damaged"
                 ));

@@ -1,5 +1,7 @@
 //! Every way in which a model file can be wrong is answered with the JSON path, and none with a panic.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
 use std::sync::LazyLock;
 
 use proptest::prelude::*;

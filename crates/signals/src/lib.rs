@@ -32,7 +32,7 @@ pub enum Signal {
 }
 
 impl Signal {
-    /// Every signal, in the order of [`Sample::values`].
+    /// Every signal, in the order of reports.
     pub const ALL: [Signal; 9] = [
         Signal::Command,
         Signal::Demand,

@@ -108,14 +108,14 @@ macro_rules! lanewise {
             fn $method(self, other: Lanes) -> Lanes {
                 let mut out = self;
                 for (a, b) in out.0.iter_mut().zip(other.0) {
-                    *a = *a $op b;
+                    *a $op b;
                 }
                 out
             }
         }
     )*};
 }
-lanewise!(Add add +, Sub sub -, Mul mul *, Div div /);
+lanewise!(Add add +=, Sub sub -=, Mul mul *=, Div div /=);
 
 impl Neg for Lanes {
     type Output = Lanes;

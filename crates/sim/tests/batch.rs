@@ -1,5 +1,7 @@
 //! The batched path gives the scalar path's numbers.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
 use seepd_sim::batch::{Job, commands};
 use seepd_sim::cycle::Turn;
 use seepd_sim::noise::Noise;

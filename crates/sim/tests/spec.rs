@@ -1,5 +1,7 @@
 //! `plant.toml`: what is read, and how mistakes are answered.
 
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
 use seepd_sim::{MachineSpec, SpecError};
 
 fn refusal(text: &str) -> String {

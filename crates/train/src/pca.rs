@@ -60,8 +60,8 @@ mod tests {
             .map(|t| (0..3).map(|j| (j + 1) as f32 + t as f32 * 0.1 * direction[j as usize]).collect())
             .collect();
         let found = &components(&rows, 1)[0];
-        for j in 0..3 {
-            assert!((found.loading[j].abs() - direction[j].abs()).abs() < 1e-6);
+        for (j, direction) in direction.iter().enumerate() {
+            assert!((found.loading[j].abs() - direction.abs()).abs() < 1e-6);
             assert!((found.mean[j] - (j + 1) as f32).abs() < 1e-6);
         }
         assert!(found.loading[0] * found.loading[1] < 0.0);

@@ -174,8 +174,8 @@ fn noise_table(subject: &Subject<'_>, readings: &[Readings]) -> Vec<NoiseLine> {
                 largest_feature_change: [0.0; 2],
                 feature: [String::new(), String::new()],
             };
-            for which in 0..2 {
-                line.mean_absolute_error_m2[which] = forests[which]
+            for (which, forest) in forests.iter().enumerate() {
+                line.mean_absolute_error_m2[which] = forest
                     .as_ref()
                     .map_or(f64::NAN, |forest| forest_error(subject, readings, forest, which, level));
                 let (change, feature) = largest_feature_change(subject, readings, which, level);

@@ -278,7 +278,7 @@ fn learn_set(
 
 /// The random stream of an observation's measurement noise, apart from the one of its parameters.
 pub(crate) fn noise_of(observation: &Observation, settings: &Settings) -> Noise {
-    Noise::new(settings.seed ^ 0x6e6f_6973_65, observation.stream)
+    Noise::new(settings.seed ^ 0x006e_6f69_7365, observation.stream)
 }
 
 fn log_uniform(noise: &mut Noise, (low, high): (f64, f64)) -> f64 {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::BufWriter;
+use std::io::{BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -13,7 +13,7 @@ use seepd_sim::noise::Noise;
 use seepd_sim::{Input, Machine, MachineSpec, Record, Schedule};
 use serde::Serialize;
 
-use crate::cli::{Outcome, is_interactive};
+use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 
@@ -331,7 +331,7 @@ fn write_provenance(
 
 /// A progress bar on a terminal, and nothing elsewhere.
 pub(crate) fn progress_bar(length: u64, what: &'static str) -> ProgressBar {
-    if !is_interactive() {
+    if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template("{msg:>12} [{bar:40}] {pos}/{len} {eta}");
@@ -343,6 +343,5 @@ pub(crate) fn progress_bar(length: u64, what: &'static str) -> ProgressBar {
 }
 
 pub(crate) fn warn(message: &str) {
-    use std::io::Write;
     let _ = writeln!(std::io::stderr(), "seepd: {message}");
 }
