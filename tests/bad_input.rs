@@ -114,6 +114,13 @@ fn endless_chunk_length_is_refused_without_memory() {
     assert_eq!((code, text.contains("the log holds no topics at all")), (65, true), "{text}");
 }
 
+/// Found by fuzzing: a topic's length of 4 GiB.
+#[test]
+fn endless_topic_is_passed_over_without_memory() {
+    let (code, text) = replay_refusal(&fixture("endless_topic.mcap"));
+    assert_eq!((code, text.contains("no message has `command`")), (65, true), "{text}");
+}
+
 /// Time and command of every sample that a log gives, however it ends.
 fn samples_of(bytes: &[u8]) -> Vec<(i64, u64)> {
     let config = Config::default();

@@ -297,7 +297,7 @@ fn another_rate_gives_no_cycle_and_tells_the_rate() {
         let mut valid = 0;
         for sample in LEAKY.iter().step_by(factor) {
             reader.push(&mut state, sample, &mut |outcome| {
-                valid += usize::from(matches!(outcome, Outcome::Valid(_)))
+                valid += usize::from(matches!(outcome, Outcome::Valid(_)));
             });
         }
         assert_eq!(valid, 0);

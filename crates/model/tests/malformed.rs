@@ -26,7 +26,7 @@ fn load(file: &Value) -> Result<Model, String> {
 fn refusal(change: impl Fn(&mut Value)) -> String {
     let mut file = SMALL.clone();
     change(&mut file);
-    load(&file).err().expect("the change must be refused")
+    load(&file).expect_err("the change must be refused")
 }
 
 #[test]

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
 
-use mcap::records::{Record, op};
+use mcap::records::op;
 use seepd_signals::{Sample, Signal};
 
 use super::Source;
 use super::fields::{FieldTree, Picked};
-use super::mcap_file::{McapFile, parse};
+use super::mcap_file::{ChannelRecord, McapFile};
 use crate::config::SignalMapping;
 use crate::failure::{Code, Failure};
 
@@ -66,7 +66,8 @@ impl<R: Read + Seek> McapSource<R> {
         })
     }
 
-    fn add_channel(&mut self, id: u16, topic: String, encoding: String) -> Result<(), Failure> {
+    fn add_channel(&mut self, channel: ChannelRecord) -> Result<(), Failure> {
+        let ChannelRecord { id, topic, encoding } = channel;
         if self.channels.contains_key(&id) {
             return Ok(());
         }
@@ -146,8 +147,8 @@ impl<R: Read + Seek> McapSource<R> {
     fn ask_summary(&mut self) -> Result<(), Failure> {
         self.summary_asked = true;
         let channels = self.file.summary_channels().map_err(|error| self.io(&error))?;
-        for (id, topic, encoding) in channels {
-            self.add_channel(id, topic, encoding)?;
+        for channel in channels {
+            self.add_channel(channel)?;
         }
         Ok(())
     }
@@ -199,8 +200,8 @@ impl<R: Read + Seek> Source for McapSource<R> {
                     }
                 }
                 Ok(Some(op::CHANNEL)) => {
-                    if let Some(Record::Channel(channel)) = parse(op::CHANNEL, &self.message) {
-                        self.add_channel(channel.id, channel.topic, channel.message_encoding)?;
+                    if let Some(channel) = ChannelRecord::parse(&self.message) {
+                        self.add_channel(channel)?;
                     }
                 }
                 Ok(Some(_)) => {}

@@ -6,9 +6,8 @@
 
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
-use mcap::records::{Record, op};
+use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
 
 use super::MCAP_MAGIC;
 
@@ -16,6 +15,9 @@ use super::MCAP_MAGIC;
 const MAX_RECORD_BYTES: u64 = 64 << 20;
 /// Opcode and length before each record.
 const PREFIX_BYTES: u64 = 9;
+
+/// Footer record (prefix, summary start, summary offset start, CRC) and the magic bytes that end a file.
+const FOOTER_AND_MAGIC_BYTES: u64 = PREFIX_BYTES + 8 + 8 + 4 + 8;
 
 /// What was damaged or missing.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -138,42 +140,46 @@ impl<R: Read + Seek> McapFile<R> {
         Ok(false)
     }
 
-    /// Identifier, topic and encoding of the channels in the file's summary: where the chunk that announced a
-    /// channel is damaged, the summary still knows it. Reading goes on where it stood.
+    /// The channels in the file's summary: where the chunk that announced a channel is damaged, the summary still knows
+    /// it. Reading goes on where it stood.
     ///
     /// # Errors
     /// Reading failed; a summary that is missing or damaged is an empty list.
-    pub fn summary_channels(&mut self) -> io::Result<Vec<(u16, String, String)>> {
+    pub fn summary_channels(&mut self) -> io::Result<Vec<ChannelRecord>> {
         let stood = self.input.stream_position()?;
-        let summary = self.read_summary();
+        let channels = self.read_summary();
         self.input.seek(SeekFrom::Start(stood))?;
-        let channels = summary.map(|summary| summary.channels).unwrap_or_default();
-        let mut listed: Vec<_> = channels
-            .values()
-            .map(|channel| (channel.id, channel.topic.clone(), channel.message_encoding.clone()))
-            .collect();
-        listed.sort();
-        Ok(listed)
+        channels
     }
 
-    fn read_summary(&mut self) -> Option<mcap::Summary> {
-        let options = SummaryReaderOptions::default()
-            .with_file_size(self.length)
-            .with_record_length_limit(MAX_RECORD_BYTES as usize);
-        let mut reader = SummaryReader::new_with_options(options);
-        while let Some(event) = reader.next_event() {
-            match event.ok()? {
-                SummaryReadEvent::ReadRequest(wanted) => {
-                    let read = self.input.read(reader.insert(wanted)).ok()?;
-                    reader.notify_read(read);
-                }
-                SummaryReadEvent::SeekRequest(to) => {
-                    let at = self.input.seek(to).ok()?;
-                    reader.notify_seeked(at);
-                }
-            }
+    fn read_summary(&mut self) -> io::Result<Vec<ChannelRecord>> {
+        let mut channels = Vec::new();
+        let Some(footer_at) = self.length.checked_sub(FOOTER_AND_MAGIC_BYTES) else { return Ok(channels) };
+        let mut footer = [0; FOOTER_AND_MAGIC_BYTES as usize];
+        self.input.seek(SeekFrom::Start(footer_at))?;
+        self.input.read_exact(&mut footer)?;
+        let mut at = u64::from_le_bytes(std::array::from_fn(|index| footer[PREFIX_BYTES as usize + index]));
+        if footer[0] != op::FOOTER || !footer.ends_with(MCAP_MAGIC) || at == 0 {
+            return Ok(channels);
         }
-        reader.finish()
+        while at + PREFIX_BYTES <= footer_at {
+            let mut prefix = [0; PREFIX_BYTES as usize];
+            self.input.seek(SeekFrom::Start(at))?;
+            self.input.read_exact(&mut prefix)?;
+            let [opcode, length @ ..] = prefix;
+            let length = u64::from_le_bytes(length);
+            at += PREFIX_BYTES;
+            if length > footer_at - at {
+                break;
+            }
+            if opcode == op::CHANNEL && length <= MAX_RECORD_BYTES {
+                let mut content = vec![0; length as usize];
+                self.input.read_exact(&mut content)?;
+                channels.extend(ChannelRecord::parse(&content));
+            }
+            at += length;
+        }
+        Ok(channels)
     }
 
     /// Opcode and length of the record at hand; notes a cut where there is not even that.
@@ -297,7 +303,47 @@ impl Chunk {
     }
 }
 
-/// A record that the crate parses, if it does.
-pub fn parse(opcode: u8, content: &[u8]) -> Option<Record<'_>> {
-    mcap::parse_record(opcode, content).ok()
+/// What announces a channel. Parsed here because the crate reserves memory for a string's length before it looks how
+/// much there is: four bytes of damage would ask for 4 GiB.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ChannelRecord {
+    /// Identifier.
+    pub id: u16,
+    /// Topic.
+    pub topic: String,
+    /// Message encoding.
+    pub encoding: String,
+}
+
+impl ChannelRecord {
+    /// Reads a record's content: identifier, schema's identifier, topic, encoding; `None` where it is too short.
+    pub fn parse(content: &[u8]) -> Option<Self> {
+        let (id, rest) = content.split_first_chunk::<2>()?;
+        let (_schema, rest) = rest.split_first_chunk::<2>()?;
+        let (topic, rest) = split_string(rest)?;
+        let (encoding, _metadata) = split_string(rest)?;
+        Some(ChannelRecord { id: u16::from_le_bytes(*id), topic, encoding })
+    }
+}
+
+fn split_string(content: &[u8]) -> Option<(String, &[u8])> {
+    let (length, rest) = content.split_first_chunk::<4>()?;
+    let (text, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+    Some((String::from_utf8_lossy(text).into_owned(), rest))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn channel_record_of_wrong_length_is_none() {
+        let content = b"\x07\x00\x01\x00\x02\x00\x00\x00/a\x04\x00\x00\x00json\x00\x00\x00\x00";
+        let channel = ChannelRecord { id: 7, topic: "/a".into(), encoding: "json".into() };
+        assert_eq!(ChannelRecord::parse(content), Some(channel));
+        assert!((0..content.len() - 4).all(|length| ChannelRecord::parse(&content[..length]).is_none()));
+        let mut endless = *content;
+        endless[4..8].fill(0xff);
+        assert_eq!(ChannelRecord::parse(&endless), None);
+    }
 }
