@@ -32,9 +32,9 @@ pub struct SimulateArguments {
     /// Duty cycles to write
     #[arg(long, default_value_t = 24, value_name = "N")]
     pub cycles: usize,
-    /// Leak area past the piston seal, m²
-    #[arg(long, default_value_t = 0.0, value_name = "M2")]
-    pub leak_area: f64,
+    /// Leak area past the piston seal, m² [default: the plant file's]
+    #[arg(long, value_name = "M2")]
+    pub leak_area: Option<f64>,
     /// Leak area from a cycle on, m²: AREA@CYCLE
     #[arg(long, value_name = "M2@CYCLE", conflicts_with = "leak_growth")]
     pub leak_step: Option<String>,
@@ -84,7 +84,7 @@ impl Default for SimulateArguments {
         SimulateArguments {
             out: PathBuf::new(),
             cycles: 24,
-            leak_area: 0.0,
+            leak_area: None,
             leak_step: None,
             leak_growth: None,
             noise: 0.001,
@@ -109,7 +109,7 @@ impl Default for SimulateArguments {
 /// [`Failure`] for arguments, plant file or output.
 pub fn run(arguments: &SimulateArguments) -> Result<Outcome, Failure> {
     let spec = machine(arguments)?;
-    let turns = turns(arguments)?;
+    let turns = turns(arguments, &spec)?;
     write_log(arguments, &spec, &turns)?;
     Ok(Outcome::Good)
 }
@@ -145,8 +145,9 @@ const LARGEST_LEAK_M2: f64 = 1e-4;
 /// Where growth from nothing begins, m².
 const GROWTH_FROM_M2: f64 = 1e-8;
 
-fn turns(arguments: &SimulateArguments) -> Result<Vec<Turn>, Failure> {
-    let start = check("--leak-area", arguments.leak_area, 0.0, LARGEST_LEAK_M2)?;
+fn turns(arguments: &SimulateArguments, spec: &MachineSpec) -> Result<Vec<Turn>, Failure> {
+    let start =
+        check("--leak-area", arguments.leak_area.unwrap_or(spec.plant.leak_area_m2), 0.0, LARGEST_LEAK_M2)?;
     let load = check("--load-variation", arguments.load_variation, 0.0, 1.0)?;
     let period = check("--period-variation", arguments.period_variation, 0.0, 0.2)?;
     let pause = check("--pause", arguments.pause, 0.0, 86_400.0)?;

@@ -1,0 +1,51 @@
+//! What the documents say is what the program does.
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use seepd::config::Config;
+use seepd_sim::MachineSpec;
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+#[test]
+fn documented_plant_file_is_the_default_in_full() {
+    let text = fs::read_to_string(root().join("docs/plant.toml")).unwrap();
+    assert_eq!(MachineSpec::from_toml(&text).unwrap(), MachineSpec::default());
+    for info in seepd_sim::PlantParameters::ALL {
+        assert!(
+            text.contains(&format!("\n{} = ", info.key)) && text.contains(&format!("({})", info.symbol)),
+            "{}",
+            info.key
+        );
+    }
+}
+
+#[test]
+fn configuration_in_the_readme_reads() {
+    let readme = fs::read_to_string(root().join("README.md")).unwrap();
+    let block = readme.split("```toml").nth(1).unwrap().split("```").next().unwrap();
+    let config = Config::parse(block).unwrap();
+    assert_eq!(config.alarm, Config::default().alarm);
+    assert_eq!(config.signals.len(), 1);
+}
+
+#[test]
+fn design_names_every_crate() {
+    let design = fs::read_to_string(root().join("DESIGN.md")).unwrap();
+    for folder in fs::read_dir(root().join("crates")).unwrap() {
+        let name = folder.unwrap().file_name().into_string().unwrap();
+        assert!(design.contains(&format!("`crates/{name}`")), "{name}");
+    }
+}
+
+#[test]
+fn changelog_names_every_command() {
+    let changes = fs::read_to_string(root().join("CHANGELOG.md")).unwrap();
+    for command in ["demo", "simulate", "train", "replay"] {
+        assert!(changes.contains(&format!("`seepd {command}`")), "{command}");
+    }
+}
