@@ -1,5 +1,4 @@
 //! What the documents say is what the program does.
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -4,13 +4,11 @@ use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
 
-use seepd_features::{
-    Anchor, CycleDefinition, CycleReader, DemandMark, Feature, Kalman, Phase, PhaseKind, Projection,
-};
+use seepd_features::{CycleReader, Feature, Kalman, Phase, Projection};
 
 use crate::check::{self, ModelError};
 use crate::ensemble::{Ensemble, Estimate};
-use crate::schema::{Filter, Golden, ModelFile, PhaseKindFile};
+use crate::schema::{Filter, Golden, ModelFile};
 
 /// Relative difference that a golden output may show: the platforms' arithmetic is the same, text is not kept
 /// beyond 17 digits.
@@ -42,19 +40,7 @@ impl Model {
     pub fn from_file(file: ModelFile) -> Result<Self, ModelError> {
         check::check(&file)?;
         let features = file.features.iter().filter_map(|name| check::feature(&file, name)).collect();
-        let phases = file
-            .cycle
-            .phases
-            .iter()
-            .map(|phase| Phase {
-                from_s: phase.from_s,
-                to_s: phase.to_s,
-                kind: match phase.kind {
-                    PhaseKindFile::Stroke => PhaseKind::Stroke,
-                    PhaseKindFile::Hold => PhaseKind::Hold,
-                },
-            })
-            .collect();
+        let phases = file.cycle.phase_list();
         let ensemble = Ensemble::from_checked(&file.trees, file.transform, file.calibration.clone());
         let mut model = Model { file, features, phases, ensemble };
         model.check_golden()?;
@@ -136,30 +122,7 @@ impl Model {
 
     /// The configuration that reads cycles for this model; `projections` from [`Model::projections`].
     pub fn reader<'m>(&'m self, projections: &'m [Projection<'m>]) -> CycleReader<'m> {
-        let cycle = &self.file.cycle;
-        let anchor = |which: usize| {
-            let anchor = &cycle.anchors[which];
-            Anchor {
-                template: &anchor.template,
-                end_s: anchor.end_s,
-                least_correlation: anchor.least_correlation,
-                least_deviation: anchor.least_deviation,
-            }
-        };
-        let definition = CycleDefinition {
-            sample_rate_hz: self.file.sample_rate_hz,
-            period_s: cycle.period_s,
-            bin_samples: cycle.bin_samples,
-            anchors: [anchor(0), anchor(1)],
-            demand_mark: cycle.demand_mark.as_ref().map(|mark| DemandMark {
-                level_m: mark.level_m,
-                at_s: mark.at_s,
-                rising: mark.rising,
-            }),
-            tolerance: cycle.tolerance,
-            phases: &self.phases,
-            projections,
-        };
+        let definition = self.file.cycle.definition(self.file.sample_rate_hz, &self.phases, projections);
         CycleReader::new(self.filter(), definition, &self.features)
     }
 

@@ -3,7 +3,7 @@
 use alloc::string::String;
 use alloc::vec::Vec;
 
-use seepd_features::Kalman;
+use seepd_features::{Anchor, CycleDefinition, DemandMark, Kalman, Phase, PhaseKind, Projection};
 use serde::{Deserialize, Serialize};
 
 /// The `schema` field of this version.
@@ -75,6 +75,50 @@ pub struct Cycle {
     pub demand_mark: Option<DemandMarkFile>,
     /// Parts of the cycle.
     pub phases: Vec<PhaseFile>,
+}
+
+impl Cycle {
+    /// The phases as the reader wants them.
+    pub fn phase_list(&self) -> Vec<Phase> {
+        let kind = |kind| match kind {
+            PhaseKindFile::Stroke => PhaseKind::Stroke,
+            PhaseKindFile::Hold => PhaseKind::Hold,
+        };
+        self.phases
+            .iter()
+            .map(|phase| Phase { from_s: phase.from_s, to_s: phase.to_s, kind: kind(phase.kind) })
+            .collect()
+    }
+
+    /// The cycle as the reader wants it; `phases` from [`Cycle::phase_list`].
+    pub fn definition<'m>(
+        &'m self,
+        sample_rate_hz: f64,
+        phases: &'m [Phase],
+        projections: &'m [Projection<'m>],
+    ) -> CycleDefinition<'m> {
+        let anchor = |anchor: &'m AnchorFile| Anchor {
+            template: &anchor.template,
+            end_s: anchor.end_s,
+            least_correlation: anchor.least_correlation,
+            least_deviation: anchor.least_deviation,
+        };
+        let [first, last] = &self.anchors;
+        CycleDefinition {
+            sample_rate_hz,
+            period_s: self.period_s,
+            bin_samples: self.bin_samples,
+            anchors: [anchor(first), anchor(last)],
+            demand_mark: self.demand_mark.as_ref().map(|mark| DemandMark {
+                level_m: mark.level_m,
+                at_s: mark.at_s,
+                rising: mark.rising,
+            }),
+            tolerance: self.tolerance,
+            phases,
+            projections,
+        }
+    }
 }
 
 /// A stroke by whose shape cycles are found.

@@ -1,16 +1,13 @@
 //! Simulated machines and their cycles, read with the monitor's own code.
 
 use seepd_features::statistics::CycleStatistics;
-use seepd_features::{
-    Anchor, CycleDefinition, CycleReader, CycleState, DemandMark, Kalman, Outcome, Phase, PhaseKind,
-    Projection,
-};
-use seepd_model::schema::{Cycle, PhaseKindFile};
+use seepd_features::{CycleDefinition, CycleReader, CycleState, Kalman, Outcome, Phase, Projection};
+use seepd_model::schema::Cycle;
 use seepd_signals::Sample;
+use seepd_sim::MachineSpec;
 use seepd_sim::batch::{self, Job};
 use seepd_sim::cycle::Turn;
 use seepd_sim::noise::Noise;
-use seepd_sim::{MachineSpec, PlantParameters};
 
 /// How simulated machines differ from the plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -144,19 +141,6 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
     batch::commands(&jobs, reduce)
 }
 
-/// Phases of a cycle file as the reader wants them.
-pub(crate) fn phases(cycle: &Cycle) -> Vec<Phase> {
-    let kind = |kind| match kind {
-        PhaseKindFile::Stroke => PhaseKind::Stroke,
-        PhaseKindFile::Hold => PhaseKind::Hold,
-    };
-    cycle
-        .phases
-        .iter()
-        .map(|phase| Phase { from_s: phase.from_s, to_s: phase.to_s, kind: kind(phase.kind) })
-        .collect()
-}
-
 /// What reading needs that is not in the file's form.
 pub(crate) struct Reading<'m> {
     pub(crate) cycle: &'m Cycle,
@@ -168,29 +152,7 @@ pub(crate) struct Reading<'m> {
 impl<'m> Reading<'m> {
     /// The definition; with a projection, if only an empty one, cycles are binned.
     pub(crate) fn definition(&self) -> CycleDefinition<'m> {
-        let anchor = |which: usize| {
-            let anchor = &self.cycle.anchors[which];
-            Anchor {
-                template: &anchor.template,
-                end_s: anchor.end_s,
-                least_correlation: anchor.least_correlation,
-                least_deviation: anchor.least_deviation,
-            }
-        };
-        CycleDefinition {
-            sample_rate_hz: self.sample_rate_hz,
-            period_s: self.cycle.period_s,
-            bin_samples: self.cycle.bin_samples,
-            anchors: [anchor(0), anchor(1)],
-            demand_mark: self.cycle.demand_mark.as_ref().map(|mark| DemandMark {
-                level_m: mark.level_m,
-                at_s: mark.at_s,
-                rising: mark.rising,
-            }),
-            tolerance: self.cycle.tolerance,
-            phases: self.phases,
-            projections: self.projections,
-        }
+        self.cycle.definition(self.sample_rate_hz, self.phases, self.projections)
     }
 
     /// The statistics of the one cycle in a recorded command, with measurement noise added; `None` where the
@@ -218,9 +180,4 @@ impl<'m> Reading<'m> {
         }
         found
     }
-}
-
-/// Names of the varied parameters, for reports.
-pub fn varied_parameters() -> impl Iterator<Item = &'static str> {
-    PlantParameters::ALL.iter().map(|info| info.key).filter(|key| VARIED.contains(key))
 }

@@ -140,7 +140,7 @@ pub fn train(
     tell: &mut dyn FnMut(Stage, usize, usize),
 ) -> Result<Trained, TrainError> {
     let cycle = with_templates(spec, settings)?;
-    let phases = dataset::phases(&cycle);
+    let phases = cycle.phase_list();
     let sample_rate_hz = 1.0 / spec.controller.period_s;
     let binned = [Projection { mean: &[], loading: &[] }];
     let reading = Reading { cycle: &cycle, phases: &phases, sample_rate_hz, projections: &binned };
