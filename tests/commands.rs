@@ -267,11 +267,122 @@ fn logs_in_a_row_are_one_record() {
 fn help_tells_examples_and_exit_codes() {
     let top = stdout(&seepd(["--help"]));
     assert!(top.contains("Exit codes: 0 good, 1 a finding"));
-    for command in ["demo", "simulate", "train", "replay"] {
+    for command in ["demo", "simulate", "train", "replay", "inspect", "check", "completions", "man"] {
         let text = stdout(&seepd([command, "--help"]));
         assert!(text.contains("Example"), "{command}");
     }
     assert!(stdout(&seepd(["--version"])).starts_with("seepd 0."));
+}
+
+#[test]
+fn inspect_proposes_a_mapping_that_replay_reads() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    simulate(&path("log.mcap"), &["--cycles", "2", "--leak-area", "1e-6", "--topic-prefix", "/press/7"]);
+    let plain = estimates(&replay(&path("log.mcap"), &[]));
+    let output = seepd(["inspect", path("log.mcap").to_str().unwrap()]);
+    assert!(
+        stderr(&output)
+            .contains("/press/7/signals (json, seepd.Signals): 20000 messages at 1000.0 Hz over 20.0 s")
+    );
+    fs::write(path("seepd.toml"), stdout(&output)).unwrap();
+    let read = replay(&path("log.mcap"), &["--config", path("seepd.toml").to_str().unwrap()]);
+    assert_eq!(estimates(&read), plain);
+}
+
+#[test]
+fn inspect_tells_units_by_their_size_gaps_and_never_guesses_the_truth() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.csv");
+    let mut text = String::from("t_s,valve_percent,cylinder.pos_mm,p_cap_bar,target_mm,leak_flow\n");
+    for row in (0..3000).filter(|row| !(1000..1500).contains(row)) {
+        let phase = (f64::from(row) * 0.01).sin();
+        text += &format!(
+            "{},{},{},{},{},{}\n",
+            f64::from(row) * 1e-3,
+            40.0 * phase,
+            200.0 + 150.0 * phase,
+            90.0 + 20.0 * phase,
+            200.0 + 151.0 * phase,
+            phase
+        );
+    }
+    fs::write(&log, text).unwrap();
+    let found: serde_json::Value =
+        serde_json::from_str(&stdout(&seepd(["inspect", "--json", log.to_str().unwrap()]))).unwrap();
+    let topic = &found["topics"][0];
+    assert_eq!((topic["messages"].as_u64(), topic["gaps"].as_u64()), (Some(2500), Some(1)));
+    assert!((topic["longest_gap_s"].as_f64().unwrap() - 0.501).abs() < 1e-6);
+    for (signal, field, scale) in [
+        ("command", "valve_percent", 0.01),
+        ("position", "cylinder.pos_mm", 1e-3),
+        ("demand", "target_mm", 1e-3),
+        ("p_cap", "p_cap_bar", 1e5),
+    ] {
+        assert_eq!(
+            (&found["mapping"][signal]["field"], &found["mapping"][signal]["scale"]),
+            (&field.into(), &scale.into())
+        );
+    }
+    assert_eq!(found["mapping"].as_object().unwrap().len(), 4);
+}
+
+#[test]
+fn inspect_lists_logs_that_replay_does_not_read() {
+    let text = stderr(&seepd(["inspect", fixture("axis_zstd_truncated.mcap").to_str().unwrap()]));
+    assert!(text.contains("/axis/sample (json, axis.Sample): 1205 messages at 1000.0 Hz"), "{text}");
+    assert!(text.contains("ends at byte 42868"), "{text}");
+}
+
+#[test]
+fn check_tells_good_files_from_wrong_ones() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &[u8]| {
+        let path = folder.path().join(name);
+        fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let model = file("model.json", seepd::EMBEDDED_MODEL);
+    let plant = file("plant.toml", b"[plant]\nmass_kg = 300.0\n[effects.command_delay]\ndelay_s = 0.004\n");
+    let config = file("seepd.toml", b"model = \"model.json\"\n[signals.command]\ntopic = \"/a\"\n");
+    let text = stdout(&seepd(["check", &model, &plant, &config]));
+    assert!(
+        text.contains("good model: 40 trees")
+            && text.contains("effects: command_delay")
+            && text.contains("1 mapped signals"),
+        "{text}"
+    );
+    let wrong = file("wrong.toml", b"[controller]\nkp = 12.0\nperid_s = 0.001\n");
+    let lost = file("lost.toml", b"model = \"nowhere.json\"\n");
+    let output = seepd(["check", "--json", &wrong, &plant, &lost]);
+    assert_eq!(output.status.code(), Some(78));
+    assert!(
+        stderr(&output).contains("wrong.toml: line 3: unknown key `perid_s`; did you mean `period_s`?"),
+        "{}",
+        stderr(&output)
+    );
+    assert!(stderr(&output).contains("nowhere.json"));
+    let good: Vec<bool> = String::from_utf8(output.stdout)
+        .unwrap()
+        .lines()
+        .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap()["good"].as_bool().unwrap())
+        .collect();
+    assert_eq!(good, [false, true, false]);
+}
+
+#[test]
+fn completions_and_manual_pages_know_every_command() {
+    let folder = tempfile::tempdir().unwrap();
+    for shell in ["bash", "zsh", "fish"] {
+        let script = stdout(&seepd(["completions", shell]));
+        assert!(script.contains("replay") && script.contains("reference-mpa"), "{shell}");
+    }
+    stdout(&seepd(["man", "--folder", folder.path().to_str().unwrap()]));
+    for command in ["demo", "simulate", "train", "replay", "inspect", "check"] {
+        let page = fs::read_to_string(folder.path().join(format!("seepd-{command}.1"))).unwrap();
+        assert!(page.contains(".TH") && page.contains("Example"), "{command}");
+    }
+    assert!(stdout(&seepd(["man"])).contains("seepd"));
 }
 
 #[test]

@@ -44,7 +44,7 @@ fn design_names_every_crate() {
 #[test]
 fn changelog_names_every_command() {
     let changes = fs::read_to_string(root().join("CHANGELOG.md")).unwrap();
-    for command in ["demo", "simulate", "train", "replay"] {
+    for command in ["demo", "simulate", "train", "replay", "inspect", "check", "completions", "man"] {
         assert!(changes.contains(&format!("`seepd {command}`")), "{command}");
     }
 }

@@ -4,7 +4,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::commands;
 use crate::failure::{Code, Failure};
@@ -35,6 +35,19 @@ enum Command {
     Train(commands::train::TrainArguments),
     /// Read logs (MCAP or CSV): leak by cycle, flags, summary
     Replay(commands::replay::ReplayArguments),
+    /// Show what a log holds and propose the mapping that reads it
+    Inspect(commands::inspect::InspectArguments),
+    /// Check plant, model and configuration files
+    Check(commands::check::CheckArguments),
+    /// Print a shell's completion script
+    Completions(commands::shell::CompletionsArguments),
+    /// Print the manual page, or write those of all commands
+    Man(commands::shell::ManArguments),
+}
+
+/// The command line's description, for completions and manual pages.
+pub(crate) fn description() -> clap::Command {
+    Arguments::command()
 }
 
 /// Runs the program: the only place that reads the arguments and writes the last error.
@@ -51,6 +64,10 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "train")]
         Command::Train(arguments) => commands::train::run(arguments),
         Command::Replay(arguments) => commands::replay::run(arguments),
+        Command::Inspect(arguments) => commands::inspect::run(arguments),
+        Command::Check(arguments) => commands::check::run(arguments),
+        Command::Completions(arguments) => commands::shell::completions(arguments),
+        Command::Man(arguments) => commands::shell::man(arguments),
     };
     match result {
         Ok(Outcome::Good) => ExitCode::SUCCESS,

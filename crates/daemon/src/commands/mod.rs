@@ -1,8 +1,11 @@
 //! The commands, one file each.
 
+pub mod check;
 #[cfg(feature = "simulate")]
 pub mod demo;
+pub mod inspect;
 pub mod replay;
+pub mod shell;
 #[cfg(feature = "simulate")]
 pub mod simulate;
 #[cfg(feature = "train")]

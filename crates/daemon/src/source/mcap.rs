@@ -15,7 +15,7 @@ use crate::failure::{Code, Failure};
 /// Ending of the topics that are read when no mapping names one.
 const DEFAULT_TOPIC_ENDING: &str = "/signals";
 /// Message header: channel, sequence, log time, publish time.
-const MESSAGE_HEADER_BYTES: usize = 2 + 4 + 8 + 8;
+pub(crate) const MESSAGE_HEADER_BYTES: usize = 2 + 4 + 8 + 8;
 
 /// What is known of a channel.
 struct Channel {
@@ -67,7 +67,7 @@ impl<R: Read + Seek> McapSource<R> {
     }
 
     fn add_channel(&mut self, channel: ChannelRecord) -> Result<(), Failure> {
-        let ChannelRecord { id, topic, encoding } = channel;
+        let ChannelRecord { id, topic, encoding, .. } = channel;
         if self.channels.contains_key(&id) {
             return Ok(());
         }
@@ -115,25 +115,9 @@ impl<R: Read + Seek> McapSource<R> {
             Some(m) => format!("`{}` on a topic that ends in {DEFAULT_TOPIC_ENDING}", m.field),
             None => "a command: the mapping has none".into(),
         };
-        let damage = self.damage_notes().join("; ");
+        let damage = self.file.damage.notes().join("; ");
         let damage = if damage.is_empty() { damage } else { format!(" ({damage})") };
         Failure::data(format!("{}: no message has {wanted}; the log holds {listed}{damage}", self.name))
-    }
-
-    fn damage_notes(&self) -> Vec<String> {
-        let damage = &self.file.damage;
-        let mut notes = Vec::new();
-        if let Some(at) = damage.cut_at {
-            notes.push(format!("ends at byte {at} in the middle of its data; read up to there"));
-        }
-        if damage.chunks > 0 || damage.skipped_bytes > 0 {
-            let at = damage.first_at.unwrap_or(0);
-            notes.push(format!(
-                "{} damaged chunks and {} damaged bytes between them left out, the first at byte {at}",
-                damage.chunks, damage.skipped_bytes
-            ));
-        }
-        notes
     }
 }
 
@@ -159,11 +143,11 @@ impl<R: Read + Seek> McapSource<R> {
         let channel = self.channels.get_mut(&channel_id(header))?;
         channel.messages += 1;
         let fields = channel.fields.as_ref()?;
-        let log_time = u64::from_le_bytes(std::array::from_fn(|index| header[6 + index]));
+        let log_time_ns = log_time_ns(header);
         let picked = &mut self.picked;
         if let Err(error) = fields.pick(data, picked).or_else(|_| pick_with_nan(fields, data, picked)) {
             self.unreadable += 1;
-            self.first_unreadable.get_or_insert_with(|| format!("at {log_time} ns: {error}"));
+            self.first_unreadable.get_or_insert_with(|| format!("at {log_time_ns} ns: {error}"));
             return None;
         }
         let mut has_command = false;
@@ -173,15 +157,22 @@ impl<R: Read + Seek> McapSource<R> {
         }
         self.held.time_ns = match self.picked.time_s {
             Some(time_s) => (time_s * 1e9).round() as i64,
-            None => i64::try_from(log_time).unwrap_or(i64::MAX),
+            None => log_time_ns,
         };
         self.given += u64::from(has_command);
         has_command.then_some(self.held)
     }
 }
 
-fn channel_id(message: &[u8]) -> u16 {
+/// Channel of a message.
+pub(crate) fn channel_id(message: &[u8]) -> u16 {
     u16::from_le_bytes([message[0], message[1]])
+}
+
+/// Log time of a message, ns.
+pub(crate) fn log_time_ns(message: &[u8]) -> i64 {
+    let stamp = u64::from_le_bytes(std::array::from_fn(|index| message[6 + index]));
+    i64::try_from(stamp).unwrap_or(i64::MAX)
 }
 
 impl<R: Read + Seek> Source for McapSource<R> {
@@ -211,7 +202,7 @@ impl<R: Read + Seek> Source for McapSource<R> {
 
     fn notes(&self) -> Vec<String> {
         let mut notes: Vec<String> =
-            self.damage_notes().into_iter().map(|note| format!("{}: {note}", self.name)).collect();
+            self.file.damage.notes().into_iter().map(|note| format!("{}: {note}", self.name)).collect();
         if self.unreadable > 0 {
             let first = self.first_unreadable.as_deref().unwrap_or_default();
             notes.push(format!(

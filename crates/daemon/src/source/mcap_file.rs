@@ -32,6 +32,24 @@ pub struct Damage {
     pub cut_at: Option<u64>,
 }
 
+impl Damage {
+    /// What was damaged, one line each.
+    pub fn notes(&self) -> Vec<String> {
+        let mut notes = Vec::new();
+        if let Some(at) = self.cut_at {
+            notes.push(format!("ends at byte {at} in the middle of its data; read up to there"));
+        }
+        if self.chunks > 0 || self.skipped_bytes > 0 {
+            let at = self.first_at.unwrap_or(0);
+            notes.push(format!(
+                "{} damaged chunks and {} damaged bytes between them left out, the first at byte {at}",
+                self.chunks, self.skipped_bytes
+            ));
+        }
+        notes
+    }
+}
+
 /// Walks through a file's records, those within chunks included.
 pub struct McapFile<R> {
     input: BufReader<R>,
@@ -309,6 +327,8 @@ impl Chunk {
 pub struct ChannelRecord {
     /// Identifier.
     pub id: u16,
+    /// Identifier of the schema; 0 for none.
+    pub schema_id: u16,
     /// Topic.
     pub topic: String,
     /// Message encoding.
@@ -319,10 +339,29 @@ impl ChannelRecord {
     /// Reads a record's content: identifier, schema's identifier, topic, encoding; `None` where it is too short.
     pub fn parse(content: &[u8]) -> Option<Self> {
         let (id, rest) = content.split_first_chunk::<2>()?;
-        let (_schema, rest) = rest.split_first_chunk::<2>()?;
+        let (schema_id, rest) = rest.split_first_chunk::<2>()?;
         let (topic, rest) = split_string(rest)?;
         let (encoding, _metadata) = split_string(rest)?;
-        Some(ChannelRecord { id: u16::from_le_bytes(*id), topic, encoding })
+        let (id, schema_id) = (u16::from_le_bytes(*id), u16::from_le_bytes(*schema_id));
+        Some(ChannelRecord { id, schema_id, topic, encoding })
+    }
+}
+
+/// What announces a schema, as far as it is used.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SchemaRecord {
+    /// Identifier.
+    pub id: u16,
+    /// Name.
+    pub name: String,
+}
+
+impl SchemaRecord {
+    /// Reads a record's content; `None` where it is too short.
+    pub fn parse(content: &[u8]) -> Option<Self> {
+        let (id, rest) = content.split_first_chunk::<2>()?;
+        let (name, _rest) = split_string(rest)?;
+        Some(SchemaRecord { id: u16::from_le_bytes(*id), name })
     }
 }
 
@@ -339,7 +378,7 @@ mod tests {
     #[test]
     fn channel_record_of_wrong_length_is_none() {
         let content = b"\x07\x00\x01\x00\x02\x00\x00\x00/a\x04\x00\x00\x00json\x00\x00\x00\x00";
-        let channel = ChannelRecord { id: 7, topic: "/a".into(), encoding: "json".into() };
+        let channel = ChannelRecord { id: 7, schema_id: 1, topic: "/a".into(), encoding: "json".into() };
         assert_eq!(ChannelRecord::parse(content), Some(channel));
         assert!((0..content.len() - 4).all(|length| ChannelRecord::parse(&content[..length]).is_none()));
         let mut endless = *content;

@@ -4,6 +4,7 @@ pub mod csv;
 pub mod fields;
 pub mod mcap;
 pub mod mcap_file;
+pub mod survey;
 
 use std::fs::File;
 use std::io::Read;

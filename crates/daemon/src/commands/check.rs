@@ -1,0 +1,149 @@
+//! `seepd check`: are these files what the program can use?
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+
+use crate::cli::Outcome;
+use crate::config::{Config, load_model};
+use crate::failure::{Code, Failure};
+
+/// Checks plant, model and configuration files; tells line, key and the nearest known key of what is wrong.
+///
+/// JSON is a model; TOML with a table [plant], [controller], [cycle] or [effects] is a plant; other TOML is a
+/// configuration, whose model is checked too. Every file is checked, also after one that is wrong.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  seepd check plant.toml model.json seepd.toml")]
+pub struct CheckArguments {
+    /// Files
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// Print a JSON line a file
+    #[arg(long)]
+    json: bool,
+}
+
+/// `seepd.check/1`: what was found of a file.
+#[derive(Debug, Serialize)]
+struct Finding {
+    schema: &'static str,
+    file: String,
+    kind: &'static str,
+    good: bool,
+    /// What it is, or what is wrong with it.
+    message: String,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure`] with the first wrong file's code, once all files have been told of.
+pub fn run(arguments: &CheckArguments) -> Result<Outcome, Failure> {
+    let mut out = io::stdout().lock();
+    let mut wrong: Vec<Failure> = Vec::new();
+    for path in &arguments.files {
+        let (kind, result) = check(path);
+        if arguments.json {
+            let message = match &result {
+                Ok(message) => message.clone(),
+                Err(failure) => failure.message.clone(),
+            };
+            let finding = Finding {
+                schema: "seepd.check/1",
+                file: path.display().to_string(),
+                kind,
+                good: result.is_ok(),
+                message,
+            };
+            tell(&mut out, &serde_json::to_string(&finding).unwrap_or_default())?;
+        } else if let Ok(message) = &result {
+            tell(&mut out, &format!("{}: good {kind}: {message}", path.display()))?;
+        }
+        wrong.extend(result.err());
+    }
+    let mut wrong = wrong.into_iter();
+    let Some(first) = wrong.next() else { return Ok(Outcome::Good) };
+    let others: Vec<String> = wrong.map(|failure| failure.message).collect();
+    let message = std::iter::once(first.message).chain(others).collect::<Vec<_>>().join("\nseepd: ");
+    Err(Failure::new(first.code, message))
+}
+
+fn tell(out: &mut impl Write, line: &str) -> Result<(), Failure> {
+    match writeln!(out, "{line}") {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(Failure::writing(Path::new("standard output"), error))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The file's kind, and what it is or what is wrong with it.
+fn check(path: &Path) -> (&'static str, Result<String, Failure>) {
+    let text = match fs::read(path) {
+        Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
+        Err(error) => return ("file", Err(Failure::reading(path, &error))),
+    };
+    if text.trim_start().starts_with('{') {
+        ("model", check_model(path))
+    } else if is_plant(&text) {
+        ("plant", check_plant(path, &text))
+    } else {
+        ("configuration", check_configuration(path))
+    }
+}
+
+fn is_plant(text: &str) -> bool {
+    let tables = ["plant", "controller", "cycle", "effects"];
+    text.lines().any(|line| {
+        let name = line.trim().trim_start_matches('[').split(['.', ']']).next().unwrap_or_default();
+        line.trim().starts_with('[') && tables.contains(&name)
+    })
+}
+
+fn check_model(path: &Path) -> Result<String, Failure> {
+    let model = load_model(path)?;
+    Ok(format!(
+        "{} trees, {} features, {} Hz, cycle of {} s",
+        model.ensemble().trees(),
+        model.feature_names().len(),
+        model.file().sample_rate_hz,
+        model.file().cycle.period_s
+    ))
+}
+
+#[cfg(feature = "simulate")]
+fn check_plant(path: &Path, text: &str) -> Result<String, Failure> {
+    let spec =
+        seepd_sim::MachineSpec::from_toml(text).map_err(|error| Failure::configuration(path, error))?;
+    let effects: Vec<&str> = spec.effects.keys().map(String::as_str).collect();
+    Ok(format!(
+        "cycle of {} s with {} moves, {} RK4 steps per {} s, effects: {}",
+        spec.cycle.period_s,
+        spec.cycle.moves.len(),
+        spec.controller.steps_per_period,
+        spec.controller.period_s,
+        if effects.is_empty() { "none".to_owned() } else { effects.join(", ") }
+    ))
+}
+
+#[cfg(not(feature = "simulate"))]
+fn check_plant(path: &Path, _text: &str) -> Result<String, Failure> {
+    Err(Failure::new(
+        Code::Usage,
+        format!("{}: this build has no simulator and cannot check plants", path.display()),
+    ))
+}
+
+fn check_configuration(path: &Path) -> Result<String, Failure> {
+    let config = Config::read(path)?;
+    let model = config.load_model().map_err(|failure| Failure::new(Code::Configuration, failure.message))?;
+    Ok(format!(
+        "axis {}, {} mapped signals, model of {} trees",
+        config.axis,
+        config.signals.len(),
+        model.ensemble().trees()
+    ))
+}

@@ -1,0 +1,90 @@
+//! `seepd inspect`: what a log holds, and the mapping that would read it.
+
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::cli::Outcome;
+use crate::failure::Failure;
+use crate::source::survey::{LogSurvey, survey};
+
+/// Shows a log's topics, rates, gaps, encodings and numeric fields with their ranges, guesses which are the command,
+/// position, demand, pressures and load, and prints the mapping that would read them.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  seepd inspect press-1.mcap\n  seepd inspect press-1.mcap > seepd.toml   # the mapping alone\n  \
+                        seepd inspect --json press-1.mcap | jq .topics"
+)]
+pub struct InspectArguments {
+    /// Log: MCAP, or CSV with a header row
+    #[arg(value_name = "LOG")]
+    log: PathBuf,
+    /// Print one JSON object instead
+    #[arg(long)]
+    json: bool,
+    /// Name of a CSV file's time column, in seconds
+    #[arg(long, default_value = "t_s", value_name = "COLUMN")]
+    time_column: String,
+}
+
+/// Runs the command: the overview goes to standard error, the mapping to standard output, ready for a file.
+///
+/// # Errors
+/// [`Failure`] where the log cannot be read.
+pub fn run(arguments: &InspectArguments) -> Result<Outcome, Failure> {
+    let file = File::open(&arguments.log).map_err(|error| Failure::reading(&arguments.log, &error))?;
+    let name = arguments.log.display().to_string();
+    let found = survey(file, &name, &arguments.time_column)?;
+    let written = if arguments.json {
+        serde_json::to_string_pretty(&found)
+            .map_err(io::Error::from)
+            .and_then(|text| writeln!(io::stdout(), "{text}"))
+    } else {
+        print_overview(&found).and_then(|()| write!(io::stdout(), "{}", found.mapping_toml()))
+    };
+    match written {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(Failure::writing("standard output".as_ref(), error))
+        }
+        _ => Ok(Outcome::Good),
+    }
+}
+
+fn print_overview(found: &LogSurvey) -> io::Result<()> {
+    let mut out = io::stderr().lock();
+    writeln!(out, "{}: {}", found.file, found.kind)?;
+    for topic in &found.topics {
+        write!(out, "\n{} ({}", topic.topic, topic.encoding)?;
+        if !topic.schema.is_empty() {
+            write!(out, ", {}", topic.schema)?;
+        }
+        write!(out, "): {} messages", topic.messages)?;
+        if let Some(rate) = topic.rate_hz {
+            write!(out, " at {rate:.1} Hz over {:.1} s", topic.duration_s)?;
+        }
+        if topic.gaps > 0 {
+            write!(out, ", {} gaps, the longest {:.3} s", topic.gaps, topic.longest_gap_s)?;
+        }
+        writeln!(out)?;
+        for field in &topic.fields {
+            let guess = field.guess.as_ref().map_or(String::new(), |guess| format!("  ← {guess}"));
+            let (least, largest) = (number(field.least), number(field.largest));
+            writeln!(out, "  {:<28} {least:>12} … {largest:<12}{guess}", field.path)?;
+        }
+    }
+    for note in &found.notes {
+        writeln!(out, "\n{note}")?;
+    }
+    writeln!(out)
+}
+
+/// Five significant digits or so, whatever the size.
+fn number(value: f64) -> String {
+    if value == 0.0 || (1e-3..1e6).contains(&value.abs()) {
+        format!("{value:.4}")
+    } else {
+        format!("{value:.4e}")
+    }
+}

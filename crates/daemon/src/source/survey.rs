@@ -1,0 +1,360 @@
+//! A look at a whole log: topics, rates, gaps, numeric fields, and a guess what they are.
+
+use std::collections::BTreeMap;
+use std::io::{Read, Seek, SeekFrom};
+
+use mcap::records::op;
+use seepd_signals::Signal;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::MCAP_MAGIC;
+use super::mcap_file::{ChannelRecord, McapFile, SchemaRecord};
+use crate::failure::{Code, Failure};
+
+/// `seepd.inspect/1`: what a log holds.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LogSurvey {
+    /// `seepd.inspect/1`.
+    pub schema: &'static str,
+    /// Name of the log.
+    pub file: String,
+    /// `MCAP` or `CSV`.
+    pub kind: &'static str,
+    /// Topics in the order of their names.
+    pub topics: Vec<TopicSurvey>,
+    /// The mapping that would read the guessed signals, by signal.
+    pub mapping: BTreeMap<Signal, Guess>,
+    /// What was damaged or could not be looked into.
+    pub notes: Vec<String>,
+}
+
+/// A topic; a CSV's rows are one.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct TopicSurvey {
+    /// Name.
+    pub topic: String,
+    /// Message encoding.
+    pub encoding: String,
+    /// Name of the schema.
+    pub schema: String,
+    /// Messages.
+    pub messages: u64,
+    /// Median rate, Hz.
+    pub rate_hz: Option<f64>,
+    /// Between the first and the last message, s.
+    pub duration_s: f64,
+    /// Intervals longer than 2.5 times the median.
+    pub gaps: u64,
+    /// The longest of them, s.
+    pub longest_gap_s: f64,
+    /// Messages that could not be read.
+    pub unreadable: u64,
+    /// Numeric fields.
+    pub fields: Vec<FieldSurvey>,
+    #[serde(skip)]
+    times_ns: Vec<i64>,
+}
+
+/// A numeric field.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FieldSurvey {
+    /// Path in the message.
+    pub path: String,
+    /// Messages that have it.
+    pub count: u64,
+    /// Smallest value.
+    pub least: f64,
+    /// Largest value.
+    pub largest: f64,
+    /// The signal that it seems to be.
+    pub guess: Option<&'static str>,
+}
+
+/// Where a signal seems to be.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Guess {
+    /// Topic; empty for a CSV.
+    pub topic: String,
+    /// Path of the field, or column.
+    pub field: String,
+    /// Factor to SI.
+    pub scale: f64,
+    #[serde(skip)]
+    score: i32,
+}
+
+/// Messages whose fields are looked into; the times of all are.
+const LOOKED_INTO: u64 = 20_000;
+/// Fields of a topic that are told.
+const FIELDS_KEPT: usize = 256;
+/// Times kept for the median interval.
+const TIMES_KEPT: usize = 1 << 20;
+
+/// Looks through a log.
+///
+/// # Errors
+/// [`Failure`] where it cannot be read or is of no kind that is known.
+pub fn survey<R: Read + Seek>(mut input: R, name: &str, time_column: &str) -> Result<LogSurvey, Failure> {
+    let io = |error: std::io::Error| Failure::new(Code::Io, format!("{name}: {error}"));
+    let mut head = Vec::new();
+    input.by_ref().take(512).read_to_end(&mut head).map_err(io)?;
+    input.seek(SeekFrom::Start(0)).map_err(io)?;
+    if head.is_empty() {
+        return Err(Failure::data(format!("{name}: the file is empty")));
+    }
+    let (kind, mut topics, notes) = if head.starts_with(MCAP_MAGIC) {
+        let (topics, notes) = survey_mcap(input, name)?;
+        ("MCAP", topics, notes)
+    } else if super::looks_like_text(&head) {
+        let (topic, notes) = survey_csv(input, name, time_column)?;
+        ("CSV", vec![topic], notes)
+    } else {
+        return Err(Failure::data(format!(
+            "{name}: is neither an MCAP log nor a CSV text with a header row"
+        )));
+    };
+    topics.sort_by(|a, b| a.topic.cmp(&b.topic));
+    let mapping = guess(&mut topics, kind == "MCAP");
+    Ok(LogSurvey { schema: "seepd.inspect/1", file: name.into(), kind, topics, mapping, notes })
+}
+
+fn survey_mcap<R: Read + Seek>(input: R, name: &str) -> Result<(Vec<TopicSurvey>, Vec<String>), Failure> {
+    let io = |error: std::io::Error| Failure::data(format!("{name}: {error}"));
+    let mut file = McapFile::new(input).map_err(io)?;
+    let mut schemas: BTreeMap<u16, String> = BTreeMap::new();
+    let mut topics: BTreeMap<u16, TopicSurvey> = BTreeMap::new();
+    let mut record = Vec::new();
+    while let Some(opcode) = file.next_record(&mut record).map_err(io)? {
+        match opcode {
+            op::SCHEMA => {
+                if let Some(schema) = SchemaRecord::parse(&record) {
+                    schemas.insert(schema.id, schema.name);
+                }
+            }
+            op::CHANNEL => {
+                if let Some(channel) = ChannelRecord::parse(&record) {
+                    topics.entry(channel.id).or_insert_with(|| TopicSurvey {
+                        topic: channel.topic,
+                        encoding: channel.encoding,
+                        schema: schemas.get(&channel.schema_id).cloned().unwrap_or_default(),
+                        ..TopicSurvey::default()
+                    });
+                }
+            }
+            op::MESSAGE => {
+                if let Some((header, data)) = record.split_at_checked(super::mcap::MESSAGE_HEADER_BYTES)
+                    && let Some(topic) = topics.get_mut(&super::mcap::channel_id(header))
+                {
+                    topic.take(super::mcap::log_time_ns(header), data);
+                }
+            }
+            _ => {}
+        }
+    }
+    let notes = file.damage.notes();
+    Ok((topics.into_values().map(TopicSurvey::finished).collect(), notes))
+}
+
+fn survey_csv(
+    input: impl Read,
+    name: &str,
+    time_column: &str,
+) -> Result<(TopicSurvey, Vec<String>), Failure> {
+    let data = |error: csv::Error| Failure::data(format!("{name}: {error}"));
+    let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(input);
+    let headers = reader.headers().map_err(data)?.clone();
+    let mut topic = TopicSurvey { topic: "rows".into(), encoding: "csv".into(), ..TopicSurvey::default() };
+    let mut row = csv::StringRecord::new();
+    while reader.read_record(&mut row).map_err(data)? {
+        topic.messages += 1;
+        for (column, text) in headers.iter().zip(&row) {
+            let Ok(value) = text.parse::<f64>() else { continue };
+            if column == time_column {
+                topic.take_time((value * 1e9) as i64);
+            } else {
+                topic.take_field(column, value);
+            }
+        }
+    }
+    let known = headers.iter().any(|column| column == time_column);
+    let note = format!("no column `{time_column}` for the time; name it with --time-column");
+    Ok((topic.finished(), if known { vec![] } else { vec![note] }))
+}
+
+impl TopicSurvey {
+    fn take(&mut self, time_ns: i64, message: &[u8]) {
+        self.messages += 1;
+        self.take_time(time_ns);
+        if self.encoding != "json" || self.messages > LOOKED_INTO {
+            return;
+        }
+        match serde_json::from_slice::<Value>(message) {
+            Ok(value) => self.take_value(&mut String::new(), &value),
+            Err(_) => self.unreadable += 1,
+        }
+    }
+
+    fn take_time(&mut self, time_ns: i64) {
+        if self.times_ns.len() < TIMES_KEPT {
+            self.times_ns.push(time_ns);
+        }
+    }
+
+    /// Every number in a message, under its path.
+    fn take_value(&mut self, path: &mut String, value: &Value) {
+        let length = path.len();
+        match value {
+            Value::Number(number) => self.take_field(path, number.as_f64().unwrap_or(f64::NAN)),
+            Value::Bool(bit) => self.take_field(path, f64::from(u8::from(*bit))),
+            Value::Object(fields) => {
+                for (key, value) in fields {
+                    if length > 0 {
+                        path.push('.');
+                    }
+                    path.push_str(key);
+                    self.take_value(path, value);
+                    path.truncate(length);
+                }
+            }
+            Value::Array(values) => {
+                // Long arrays are images and clouds of points, not signals.
+                for (index, value) in values.iter().enumerate().take(16) {
+                    path.push_str(&format!("[{index}]"));
+                    self.take_value(path, value);
+                    path.truncate(length);
+                }
+            }
+            Value::Null | Value::String(_) => {}
+        }
+    }
+
+    fn take_field(&mut self, path: &str, value: f64) {
+        if !value.is_finite() {
+            return;
+        }
+        if let Some(field) = self.fields.iter_mut().find(|field| field.path == path) {
+            field.count += 1;
+            field.least = field.least.min(value);
+            field.largest = field.largest.max(value);
+        } else if self.fields.len() < FIELDS_KEPT {
+            let path = path.to_owned();
+            self.fields.push(FieldSurvey { path, count: 1, least: value, largest: value, guess: None });
+        }
+    }
+
+    fn finished(mut self) -> Self {
+        let times = std::mem::take(&mut self.times_ns);
+        let mut intervals: Vec<i64> = times.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
+        if let (Some(first), Some(last)) = (times.first(), times.last()) {
+            self.duration_s = last.saturating_sub(*first) as f64 / 1e9;
+        }
+        let unsorted = intervals.clone();
+        intervals.sort_unstable();
+        if let Some(median) = intervals.get(intervals.len() / 2).copied().filter(|median| *median > 0) {
+            self.rate_hz = Some(1e9 / median as f64);
+            let gaps = unsorted.iter().filter(|interval| **interval as f64 > 2.5 * median as f64);
+            self.gaps = gaps.clone().count() as u64;
+            self.longest_gap_s = gaps.max().map_or(0.0, |gap| *gap as f64 / 1e9);
+        }
+        self
+    }
+}
+
+/// Words in a field's path that speak for a signal, the strongest first.
+const WORDS: [(Signal, &[&str]); 8] = [
+    (Signal::Command, &["command", "cmd", "valve", "output", "pid", "u"]),
+    (Signal::Demand, &["demand", "setpoint", "set_point", "target", "reference", "desired"]),
+    (Signal::Position, &["position", "pos", "stroke", "x"]),
+    (Signal::PSupply, &["p_supply", "supply", "pump", "p_s"]),
+    (Signal::PInlet, &["p_inlet", "inlet", "p_3"]),
+    (Signal::PCap, &["p_cap", "cap", "p_1", "p_a"]),
+    (Signal::PRod, &["p_rod", "rod", "p_2", "p_b"]),
+    (Signal::Load, &["load", "force"]),
+];
+
+/// Guesses which field is which signal, by name and range; marks the fields and gives the mapping.
+fn guess(topics: &mut [TopicSurvey], with_topic: bool) -> BTreeMap<Signal, Guess> {
+    let mut mapping: BTreeMap<Signal, Guess> = BTreeMap::new();
+    for topic in topics.iter() {
+        for field in &topic.fields {
+            let Some((signal, score, scale)) = guess_field(&topic.topic, field) else { continue };
+            if mapping.get(&signal).is_none_or(|other| score > other.score) {
+                let topic = if with_topic { topic.topic.clone() } else { String::new() };
+                mapping.insert(signal, Guess { topic, field: field.path.clone(), scale, score });
+            }
+        }
+    }
+    for topic in topics {
+        for field in &mut topic.fields {
+            let is = |guess: &Guess| guess.field == field.path && (!with_topic || guess.topic == topic.topic);
+            field.guess = mapping.iter().find(|(_, guess)| is(guess)).map(|(signal, _)| signal.name());
+        }
+    }
+    mapping
+}
+
+/// The signal that a field seems to be, how strongly, and the factor to SI.
+fn guess_field(topic: &str, field: &FieldSurvey) -> Option<(Signal, i32, f64)> {
+    if topic.ends_with("/truth") || field.least == field.largest {
+        return None;
+    }
+    let path = field.path.to_lowercase();
+    let words: Vec<&str> = path.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').collect();
+    let mut best: Option<(Signal, i32, f64)> = None;
+    for (signal, known) in WORDS {
+        for (rank, word) in known.iter().enumerate() {
+            let strength = if path == *word {
+                40
+            } else if words.contains(word) {
+                30
+            } else if word.len() > 2 && path.contains(word) {
+                20
+            } else {
+                continue;
+            };
+            let Some(scale) = scale_to_si(signal, field.least.abs().max(field.largest.abs())) else {
+                continue;
+            };
+            let score = strength - rank as i32;
+            if best.is_none_or(|best| score > best.1) {
+                best = Some((signal, score, scale));
+            }
+        }
+    }
+    best
+}
+
+/// The factor to SI that makes a range plausible: percent, millimetres, bar, kilonewtons are told by their size.
+fn scale_to_si(signal: Signal, largest: f64) -> Option<f64> {
+    let candidates: &[(f64, f64, f64)] = match signal {
+        Signal::Command => &[(1e-3, 1.1, 1.0), (1.1, 110.0, 0.01)],
+        Signal::Demand | Signal::Position => &[(1e-3, 10.0, 1.0), (10.0, 1e4, 1e-3)],
+        Signal::PSupply | Signal::PInlet | Signal::PCap | Signal::PRod => &[(1e4, 1e8, 1.0), (0.5, 1e3, 1e5)],
+        Signal::Load => &[(500.0, 1e9, 1.0), (0.1, 500.0, 1e3)],
+        Signal::CycleStart => &[],
+    };
+    candidates.iter().find(|(low, high, _)| (*low..=*high).contains(&largest)).map(|(_, _, scale)| *scale)
+}
+
+impl LogSurvey {
+    /// The mapping as a part of `seepd.toml`.
+    pub fn mapping_toml(&self) -> String {
+        let mut text = String::new();
+        if !self.mapping.contains_key(&Signal::Command) {
+            text += "# No field looks like a valve command; fill in the topic and the field yourself.\n";
+        }
+        for (signal, guess) in &self.mapping {
+            text += &format!("[signals.{}]  # in {}\n", signal.name(), signal.unit());
+            if !guess.topic.is_empty() {
+                text += &format!("topic = {}\n", toml::Value::from(guess.topic.as_str()));
+            }
+            text += &format!("field = {}\n", toml::Value::from(guess.field.as_str()));
+            if guess.scale != 1.0 {
+                text += &format!("scale = {}\n", toml::Value::from(guess.scale));
+            }
+            text.push('\n');
+        }
+        text
+    }
+}
