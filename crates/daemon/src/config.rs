@@ -43,7 +43,8 @@ pub struct SignalMapping {
     pub scale: f64,
     /// Added after the factor.
     pub offset: f64,
-    /// Path of a field with the time in seconds; empty: the message's log time.
+    /// Path of a field with the time in seconds, or of a stamp with seconds and nanoseconds; empty: the message's log
+    /// time.
     pub time: String,
 }
 

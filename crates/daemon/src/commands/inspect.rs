@@ -68,6 +68,12 @@ fn print_overview(found: &LogSurvey) -> io::Result<()> {
             write!(out, ", {} gaps, the longest {:.3} s", topic.gaps, topic.longest_gap_s)?;
         }
         writeln!(out)?;
+        if let Some(problem) = &topic.problem {
+            writeln!(out, "  {problem}")?;
+        }
+        if topic.unreadable > 0 {
+            writeln!(out, "  {} messages do not fit their schema", topic.unreadable)?;
+        }
         for field in &topic.fields {
             let guess = field.guess.as_ref().map_or(String::new(), |guess| format!("  ← {guess}"));
             let (least, largest) = (number(field.least), number(field.largest));

@@ -20,8 +20,11 @@ pub enum Target {
         /// Added after the factor.
         offset: f64,
     },
-    /// The time, s.
-    Time,
+    /// The time, or a part of it: so many ns a unit.
+    Time {
+        /// Nanoseconds in the field's unit.
+        unit_ns: f64,
+    },
 }
 
 /// A field path's part.
@@ -43,8 +46,8 @@ pub struct FieldTree {
 pub struct Picked {
     /// Signals in SI.
     pub values: Vec<(Signal, f64)>,
-    /// Time, s.
-    pub time_s: Option<f64>,
+    /// Time, ns.
+    pub time_ns: Option<i64>,
 }
 
 impl FieldTree {
@@ -54,7 +57,11 @@ impl FieldTree {
         for (signal, mapping) in mappings {
             tree.add(&mapping.field, Target::Signal { signal, scale: mapping.scale, offset: mapping.offset });
             if !mapping.time.is_empty() {
-                tree.add(&mapping.time, Target::Time);
+                tree.add(&mapping.time, Target::Time { unit_ns: 1e9 });
+                // A stamp of seconds and nanoseconds, as ROS and protobuf have it.
+                for (part, unit_ns) in [("sec", 1e9), ("seconds", 1e9), ("nanosec", 1.0), ("nanos", 1.0)] {
+                    tree.add(&format!("{}.{part}", mapping.time), Target::Time { unit_ns });
+                }
             }
         }
         tree
@@ -83,10 +90,24 @@ impl FieldTree {
     /// The message is not JSON, or a wanted field is not a number.
     pub fn pick(&self, json: &[u8], picked: &mut Picked) -> Result<(), serde_json::Error> {
         picked.values.clear();
-        picked.time_s = None;
+        picked.time_ns = None;
         let mut deserializer = serde_json::Deserializer::from_slice(json);
         Node { tree: self, picked }.deserialize(&mut deserializer)?;
         deserializer.end()
+    }
+
+    /// Picks the fields out of a decoded message into `picked`, which is emptied first.
+    ///
+    /// # Errors
+    /// A wanted field is not a number.
+    pub fn pick_value(
+        &self,
+        value: &serde_json::Value,
+        picked: &mut Picked,
+    ) -> Result<(), serde_json::Error> {
+        picked.values.clear();
+        picked.time_ns = None;
+        Node { tree: self, picked }.deserialize(value)
     }
 }
 
@@ -114,7 +135,10 @@ impl Node<'_, '_> {
                 Target::Signal { signal, scale, offset } => {
                     self.picked.values.push((*signal, value * scale + offset));
                 }
-                Target::Time => self.picked.time_s = Some(value),
+                Target::Time { unit_ns } => {
+                    let part = (value * unit_ns).round() as i64;
+                    self.picked.time_ns = Some(self.picked.time_ns.unwrap_or(0).saturating_add(part));
+                }
             }
         }
         Ok(())
@@ -237,7 +261,7 @@ mod tests {
         let mut picked = Picked::default();
         tree.pick(br#"{"x":[1,{"y":2}],"stamp":7.5,"axis":{"valve":[3,25,4],"p":80}}"#, &mut picked).unwrap();
         assert_eq!(picked.values, [(Signal::Command, 0.25), (Signal::PCap, 8e6)]);
-        assert_eq!(picked.time_s, Some(7.5));
+        assert_eq!(picked.time_ns, Some(7_500_000_000));
     }
 
     #[test]

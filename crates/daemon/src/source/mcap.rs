@@ -1,4 +1,4 @@
-//! Samples from an MCAP log: JSON messages, one signal a message or many.
+//! Samples from an MCAP log: JSON, protobuf or CDR messages, one signal a message or many.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
@@ -7,8 +7,9 @@ use mcap::records::op;
 use seepd_signals::{Sample, Signal};
 
 use super::Source;
+use super::decode::Decoder;
 use super::fields::{FieldTree, Picked};
-use super::mcap_file::{ChannelRecord, McapFile};
+use super::mcap_file::{ChannelRecord, McapFile, SchemaRecord};
 use crate::config::SignalMapping;
 use crate::failure::{Code, Failure};
 
@@ -22,8 +23,8 @@ struct Channel {
     topic: String,
     encoding: String,
     messages: u64,
-    /// Fields that are wanted of its messages, if any.
-    fields: Option<FieldTree>,
+    /// How its messages are decoded and which fields are wanted of them, if any.
+    wanted: Option<(Decoder, FieldTree)>,
 }
 
 /// See the [module](self).
@@ -31,6 +32,7 @@ pub struct McapSource<R> {
     name: String,
     file: McapFile<R>,
     mapping: Vec<(Signal, SignalMapping)>,
+    schemas: BTreeMap<u16, SchemaRecord>,
     channels: BTreeMap<u16, Channel>,
     picked: Picked,
     /// The record at hand.
@@ -55,6 +57,7 @@ impl<R: Read + Seek> McapSource<R> {
             name: name.into(),
             file,
             mapping,
+            schemas: BTreeMap::new(),
             channels: BTreeMap::new(),
             picked: Picked::default(),
             message: Vec::new(),
@@ -67,7 +70,7 @@ impl<R: Read + Seek> McapSource<R> {
     }
 
     fn add_channel(&mut self, channel: ChannelRecord) -> Result<(), Failure> {
-        let ChannelRecord { id, topic, encoding, .. } = channel;
+        let ChannelRecord { id, schema_id, topic, encoding } = channel;
         if self.channels.contains_key(&id) {
             return Ok(());
         }
@@ -79,24 +82,23 @@ impl<R: Read + Seek> McapSource<R> {
             }
         };
         let mappings: Vec<_> = self.mapping.iter().filter(wanted).collect();
-        if !mappings.is_empty() && encoding != "json" {
-            return Err(Failure::data(format!(
-                "{}: topic {topic} has the message encoding `{encoding}`; this version reads `json`",
-                self.name
-            )));
-        }
         let default = mappings.iter().any(|mapping| mapping.1.topic.is_empty());
         let other =
-            self.channels.values().find(|other| default && other.fields.is_some() && other.topic != topic);
+            self.channels.values().find(|other| default && other.wanted.is_some() && other.topic != topic);
         if let Some(other) = other {
             return Err(Failure::data(format!(
                 "{}: holds several axes, {} and {topic}; choose one with --topic",
                 self.name, other.topic
             )));
         }
-        let fields = (!mappings.is_empty())
-            .then(|| FieldTree::of(mappings.iter().map(|mapping| (mapping.0, &mapping.1))));
-        self.channels.insert(id, Channel { topic, encoding, messages: 0, fields });
+        let mut wanted = None;
+        if !mappings.is_empty() {
+            let decoder = Decoder::new(&encoding, self.schemas.get(&schema_id))
+                .map_err(|what| Failure::data(format!("{}: topic {topic} {what}", self.name)))?;
+            let fields = FieldTree::of(mappings.iter().map(|mapping| (mapping.0, &mapping.1)));
+            wanted = Some((decoder, fields));
+        }
+        self.channels.insert(id, Channel { topic, encoding, messages: 0, wanted });
         Ok(())
     }
 
@@ -130,8 +132,9 @@ impl<R: Read + Seek> McapSource<R> {
     #[cold]
     fn ask_summary(&mut self) -> Result<(), Failure> {
         self.summary_asked = true;
-        let channels = self.file.summary_channels().map_err(|error| self.io(&error))?;
-        for channel in channels {
+        let found = self.file.summary_channels().map_err(|error| self.io(&error))?;
+        self.schemas.extend(found.schemas.into_iter().map(|schema| (schema.id, schema)));
+        for channel in found.channels {
             self.add_channel(channel)?;
         }
         Ok(())
@@ -142,10 +145,10 @@ impl<R: Read + Seek> McapSource<R> {
         let (header, data) = self.message.split_at_checked(MESSAGE_HEADER_BYTES)?;
         let channel = self.channels.get_mut(&channel_id(header))?;
         channel.messages += 1;
-        let fields = channel.fields.as_ref()?;
+        let (decoder, fields) = channel.wanted.as_ref()?;
         let log_time_ns = log_time_ns(header);
         let picked = &mut self.picked;
-        if let Err(error) = fields.pick(data, picked).or_else(|_| pick_with_nan(fields, data, picked)) {
+        if let Err(error) = decoder.pick(fields, data, picked) {
             self.unreadable += 1;
             self.first_unreadable.get_or_insert_with(|| format!("at {log_time_ns} ns: {error}"));
             return None;
@@ -155,10 +158,7 @@ impl<R: Read + Seek> McapSource<R> {
             self.held.set(*signal, *value);
             has_command |= *signal == Signal::Command;
         }
-        self.held.time_ns = match self.picked.time_s {
-            Some(time_s) => (time_s * 1e9).round() as i64,
-            None => log_time_ns,
-        };
+        self.held.time_ns = self.picked.time_ns.unwrap_or(log_time_ns);
         self.given += u64::from(has_command);
         has_command.then_some(self.held)
     }
@@ -190,6 +190,9 @@ impl<R: Read + Seek> Source for McapSource<R> {
                         return Ok(Some(sample));
                     }
                 }
+                Ok(Some(op::SCHEMA)) => {
+                    self.schemas.extend(SchemaRecord::parse(&self.message).map(|schema| (schema.id, schema)));
+                }
                 Ok(Some(op::CHANNEL)) => {
                     if let Some(channel) = ChannelRecord::parse(&self.message) {
                         self.add_channel(channel)?;
@@ -212,12 +215,4 @@ impl<R: Read + Seek> Source for McapSource<R> {
         }
         notes
     }
-}
-
-/// Some writers put NaN and Infinity into JSON, which has neither: reads them as null.
-#[cold]
-fn pick_with_nan(fields: &FieldTree, json: &[u8], picked: &mut Picked) -> Result<(), serde_json::Error> {
-    let text = String::from_utf8_lossy(json);
-    let mended = text.replace("-Infinity", "null").replace("Infinity", "null").replace("NaN", "null");
-    fields.pick(mended.as_bytes(), picked)
 }

@@ -158,27 +158,27 @@ impl<R: Read + Seek> McapFile<R> {
         Ok(false)
     }
 
-    /// The channels in the file's summary: where the chunk that announced a channel is damaged, the summary still knows
-    /// it. Reading goes on where it stood.
+    /// The schemas and channels in the file's summary: where the chunk that announced a channel is damaged, the summary
+    /// still knows it. Reading goes on where it stood.
     ///
     /// # Errors
     /// Reading failed; a summary that is missing or damaged is an empty list.
-    pub fn summary_channels(&mut self) -> io::Result<Vec<ChannelRecord>> {
+    pub fn summary_channels(&mut self) -> io::Result<Announced> {
         let stood = self.input.stream_position()?;
         let channels = self.read_summary();
         self.input.seek(SeekFrom::Start(stood))?;
         channels
     }
 
-    fn read_summary(&mut self) -> io::Result<Vec<ChannelRecord>> {
-        let mut channels = Vec::new();
-        let Some(footer_at) = self.length.checked_sub(FOOTER_AND_MAGIC_BYTES) else { return Ok(channels) };
+    fn read_summary(&mut self) -> io::Result<Announced> {
+        let mut found = Announced::default();
+        let Some(footer_at) = self.length.checked_sub(FOOTER_AND_MAGIC_BYTES) else { return Ok(found) };
         let mut footer = [0; FOOTER_AND_MAGIC_BYTES as usize];
         self.input.seek(SeekFrom::Start(footer_at))?;
         self.input.read_exact(&mut footer)?;
         let mut at = u64::from_le_bytes(std::array::from_fn(|index| footer[PREFIX_BYTES as usize + index]));
         if footer[0] != op::FOOTER || !footer.ends_with(MCAP_MAGIC) || at == 0 {
-            return Ok(channels);
+            return Ok(found);
         }
         while at + PREFIX_BYTES <= footer_at {
             let mut prefix = [0; PREFIX_BYTES as usize];
@@ -190,14 +190,18 @@ impl<R: Read + Seek> McapFile<R> {
             if length > footer_at - at {
                 break;
             }
-            if opcode == op::CHANNEL && length <= MAX_RECORD_BYTES {
+            if matches!(opcode, op::CHANNEL | op::SCHEMA) && length <= MAX_RECORD_BYTES {
                 let mut content = vec![0; length as usize];
                 self.input.read_exact(&mut content)?;
-                channels.extend(ChannelRecord::parse(&content));
+                if opcode == op::CHANNEL {
+                    found.channels.extend(ChannelRecord::parse(&content));
+                } else {
+                    found.schemas.extend(SchemaRecord::parse(&content));
+                }
             }
             at += length;
         }
-        Ok(channels)
+        Ok(found)
     }
 
     /// Opcode and length of the record at hand; notes a cut where there is not even that.
@@ -321,6 +325,15 @@ impl Chunk {
     }
 }
 
+/// The announcements in a file's summary.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Announced {
+    /// Schemas.
+    pub schemas: Vec<SchemaRecord>,
+    /// Channels.
+    pub channels: Vec<ChannelRecord>,
+}
+
 /// What announces a channel. Parsed here because the crate reserves memory for a string's length before it looks how
 /// much there is: four bytes of damage would ask for 4 GiB.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -347,21 +360,28 @@ impl ChannelRecord {
     }
 }
 
-/// What announces a schema, as far as it is used.
+/// What announces a schema.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SchemaRecord {
     /// Identifier.
     pub id: u16,
     /// Name.
     pub name: String,
+    /// Encoding, such as `jsonschema`, `protobuf`, `ros2msg`.
+    pub encoding: String,
+    /// The schema itself.
+    pub data: Vec<u8>,
 }
 
 impl SchemaRecord {
     /// Reads a record's content; `None` where it is too short.
     pub fn parse(content: &[u8]) -> Option<Self> {
         let (id, rest) = content.split_first_chunk::<2>()?;
-        let (name, _rest) = split_string(rest)?;
-        Some(SchemaRecord { id: u16::from_le_bytes(*id), name })
+        let (name, rest) = split_string(rest)?;
+        let (encoding, rest) = split_string(rest)?;
+        let (length, rest) = rest.split_first_chunk::<4>()?;
+        let data = rest.get(..u32::from_le_bytes(*length) as usize)?.to_vec();
+        Some(SchemaRecord { id: u16::from_le_bytes(*id), name, encoding, data })
     }
 }
 

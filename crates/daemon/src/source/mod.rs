@@ -1,6 +1,7 @@
 //! Where samples come from: one file a kind of source.
 
 pub mod csv;
+pub mod decode;
 pub mod fields;
 pub mod mcap;
 pub mod mcap_file;

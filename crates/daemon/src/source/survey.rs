@@ -9,11 +9,12 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::MCAP_MAGIC;
+use super::decode::Decoder;
 use super::mcap_file::{ChannelRecord, McapFile, SchemaRecord};
 use crate::failure::{Code, Failure};
 
 /// `seepd.inspect/1`: what a log holds.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Serialize)]
 pub struct LogSurvey {
     /// `seepd.inspect/1`.
     pub schema: &'static str,
@@ -30,7 +31,7 @@ pub struct LogSurvey {
 }
 
 /// A topic; a CSV's rows are one.
-#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[derive(Default, Serialize)]
 pub struct TopicSurvey {
     /// Name.
     pub topic: String,
@@ -48,12 +49,16 @@ pub struct TopicSurvey {
     pub gaps: u64,
     /// The longest of them, s.
     pub longest_gap_s: f64,
-    /// Messages that could not be read.
+    /// Why its messages cannot be decoded, if they cannot.
+    pub problem: Option<String>,
+    /// Messages that do not fit their encoding.
     pub unreadable: u64,
     /// Numeric fields.
     pub fields: Vec<FieldSurvey>,
     #[serde(skip)]
     times_ns: Vec<i64>,
+    #[serde(skip)]
+    decoder: Option<Decoder>,
 }
 
 /// A numeric field.
@@ -122,22 +127,26 @@ pub fn survey<R: Read + Seek>(mut input: R, name: &str, time_column: &str) -> Re
 fn survey_mcap<R: Read + Seek>(input: R, name: &str) -> Result<(Vec<TopicSurvey>, Vec<String>), Failure> {
     let io = |error: std::io::Error| Failure::data(format!("{name}: {error}"));
     let mut file = McapFile::new(input).map_err(io)?;
-    let mut schemas: BTreeMap<u16, String> = BTreeMap::new();
+    let mut schemas: BTreeMap<u16, SchemaRecord> = BTreeMap::new();
     let mut topics: BTreeMap<u16, TopicSurvey> = BTreeMap::new();
     let mut record = Vec::new();
     while let Some(opcode) = file.next_record(&mut record).map_err(io)? {
         match opcode {
             op::SCHEMA => {
                 if let Some(schema) = SchemaRecord::parse(&record) {
-                    schemas.insert(schema.id, schema.name);
+                    schemas.insert(schema.id, schema);
                 }
             }
             op::CHANNEL => {
                 if let Some(channel) = ChannelRecord::parse(&record) {
+                    let schema = schemas.get(&channel.schema_id);
+                    let decoder = Decoder::new(&channel.encoding, schema);
                     topics.entry(channel.id).or_insert_with(|| TopicSurvey {
                         topic: channel.topic,
                         encoding: channel.encoding,
-                        schema: schemas.get(&channel.schema_id).cloned().unwrap_or_default(),
+                        schema: schema.map_or(String::new(), |schema| schema.name.clone()),
+                        problem: decoder.as_ref().err().cloned(),
+                        decoder: decoder.ok(),
                         ..TopicSurvey::default()
                     });
                 }
@@ -186,10 +195,8 @@ impl TopicSurvey {
     fn take(&mut self, time_ns: i64, message: &[u8]) {
         self.messages += 1;
         self.take_time(time_ns);
-        if self.encoding != "json" || self.messages > LOOKED_INTO {
-            return;
-        }
-        match serde_json::from_slice::<Value>(message) {
+        let Some(decoder) = self.decoder.as_ref().filter(|_| self.messages <= LOOKED_INTO) else { return };
+        match decoder.value(message) {
             Ok(value) => self.take_value(&mut String::new(), &value),
             Err(_) => self.unreadable += 1,
         }
@@ -250,8 +257,10 @@ impl TopicSurvey {
             self.duration_s = last.saturating_sub(*first) as f64 / 1e9;
         }
         let unsorted = intervals.clone();
+        // Messages out of order have negative intervals, which say nothing about the rate.
+        intervals.retain(|interval| *interval > 0);
         intervals.sort_unstable();
-        if let Some(median) = intervals.get(intervals.len() / 2).copied().filter(|median| *median > 0) {
+        if let Some(median) = intervals.get(intervals.len() / 2).copied() {
             self.rate_hz = Some(1e9 / median as f64);
             let gaps = unsorted.iter().filter(|interval| **interval as f64 > 2.5 * median as f64);
             self.gaps = gaps.clone().count() as u64;

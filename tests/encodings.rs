@@ -1,0 +1,236 @@
+//! Logs with protobuf and ROS 2 messages: the same samples as from JSON, and one line for what does not fit.
+
+use std::io::Cursor;
+
+use mcap::records::MessageHeader;
+use prost_reflect::prost::Message;
+use prost_reflect::prost_types::field_descriptor_proto::{Label, Type};
+use prost_reflect::prost_types::{
+    DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet,
+};
+use prost_reflect::{DescriptorPool, DynamicMessage, Value};
+use re_cdr::{CdrWriter, LittleEndian};
+use seepd::config::{Config, SignalMapping};
+use seepd::source::Source;
+use seepd::source::mcap::McapSource;
+use seepd_signals::Signal;
+
+/// Mapping of the command (in percent) and the cap's pressure (second of three, in bar) with the message's own time.
+fn mapping() -> Vec<(Signal, SignalMapping)> {
+    let of = |field: &str, scale| SignalMapping {
+        topic: "/plc".into(),
+        field: field.into(),
+        scale,
+        offset: 0.0,
+        time: "stamp".into(),
+    };
+    vec![(Signal::Command, of("valve.percent", 0.01)), (Signal::PCap, of("pressures[1]", 1e5))]
+}
+
+/// A log with one channel of these messages.
+fn log(schema: (&str, &str, &[u8]), encoding: &str, messages: &[Vec<u8>]) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    let mut writer = mcap::Writer::new(&mut bytes).unwrap();
+    let schema = writer.add_schema(schema.0, schema.1, schema.2).unwrap();
+    let channel_id = writer.add_channel(schema, "/plc", encoding, &Default::default()).unwrap();
+    for (sequence, message) in (0u32..).zip(messages) {
+        let header = MessageHeader { channel_id, sequence, log_time: 5, publish_time: 5 };
+        writer.write_to_known_channel(&header, message).unwrap();
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    bytes.into_inner()
+}
+
+/// Time in ns, command and cap pressure of each sample; and the notes.
+fn read(bytes: Vec<u8>) -> Result<(Vec<(i64, f64, f64)>, Vec<String>), String> {
+    let mut source = McapSource::new(Cursor::new(bytes), "log", mapping()).unwrap();
+    let mut samples = Vec::new();
+    while let Some(sample) = source.next_sample().map_err(|failure| failure.to_string())? {
+        samples.push((
+            sample.time_ns,
+            sample.get(Signal::Command).unwrap(),
+            sample.get(Signal::PCap).unwrap(),
+        ));
+    }
+    Ok((samples, source.notes()))
+}
+
+const EXPECTED: [(i64, f64, f64); 2] =
+    [(1_750_000_000_001_000_000, 0.25, 8.5e6), (1_750_000_000_002_000_000, -0.5, 9e6)];
+
+fn protobuf_set() -> FileDescriptorSet {
+    let field =
+        |name: &str, number, kind: Type, label: Label, type_name: Option<&str>| FieldDescriptorProto {
+            name: Some(name.into()),
+            number: Some(number),
+            r#type: Some(kind as i32),
+            label: Some(label as i32),
+            type_name: type_name.map(str::to_owned),
+            ..Default::default()
+        };
+    let message = |name: &str, field: Vec<FieldDescriptorProto>| DescriptorProto {
+        name: Some(name.into()),
+        field,
+        ..Default::default()
+    };
+    let single = Label::Optional;
+    FileDescriptorSet {
+        file: vec![FileDescriptorProto {
+            name: Some("plc.proto".into()),
+            package: Some("plc".into()),
+            syntax: Some("proto3".into()),
+            message_type: vec![
+                message("Valve", vec![field("percent", 1, Type::Double, single, None)]),
+                message(
+                    "Stamp",
+                    vec![
+                        field("seconds", 1, Type::Int64, single, None),
+                        field("nanos", 2, Type::Int32, single, None),
+                    ],
+                ),
+                message(
+                    "Axis",
+                    vec![
+                        field("stamp", 1, Type::Message, single, Some(".plc.Stamp")),
+                        field("valve", 2, Type::Message, single, Some(".plc.Valve")),
+                        field("pressures", 3, Type::Float, Label::Repeated, None),
+                        field("name", 4, Type::String, single, None),
+                    ],
+                ),
+            ],
+            ..Default::default()
+        }],
+    }
+}
+
+fn protobuf_messages() -> Vec<Vec<u8>> {
+    let pool = DescriptorPool::from_file_descriptor_set(protobuf_set()).unwrap();
+    let new = |name: &str| DynamicMessage::new(pool.get_message_by_name(name).unwrap());
+    EXPECTED
+        .iter()
+        .map(|(time_ns, command, pressure)| {
+            let (mut axis, mut valve, mut stamp) = (new("plc.Axis"), new("plc.Valve"), new("plc.Stamp"));
+            valve.set_field_by_name("percent", Value::F64(command * 100.0));
+            stamp.set_field_by_name("seconds", Value::I64(time_ns / 1_000_000_000));
+            stamp.set_field_by_name("nanos", Value::I32((time_ns % 1_000_000_000) as i32));
+            axis.set_field_by_name("stamp", Value::Message(stamp));
+            axis.set_field_by_name("valve", Value::Message(valve));
+            let bar = [1.0, (pressure / 1e5) as f32, 3.0].map(Value::F32);
+            axis.set_field_by_name("pressures", Value::List(bar.to_vec()));
+            axis.set_field_by_name("name", Value::String("press".into()));
+            axis.encode_to_vec()
+        })
+        .collect()
+}
+
+#[test]
+fn protobuf_by_the_descriptor_set_in_the_schema() {
+    let set = protobuf_set().encode_to_vec();
+    let (samples, notes) =
+        read(log(("plc.Axis", "protobuf", &set), "protobuf", &protobuf_messages())).unwrap();
+    assert_eq!(samples, EXPECTED);
+    assert_eq!(notes, [""; 0]);
+}
+
+const ROS: &str = "builtin_interfaces/Time stamp\nValve valve\nfloat32[] pressures\nstring name\n\
+    ================================================================================\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n\
+    ================================================================================\nMSG: plc/Valve\nfloat64 percent\n";
+
+fn ros_messages() -> Vec<Vec<u8>> {
+    EXPECTED
+        .iter()
+        .map(|(time_ns, command, pressure)| {
+            let mut body = Vec::new();
+            let mut writer = CdrWriter::<LittleEndian>::new(&mut body);
+            writer.write_i32((time_ns / 1_000_000_000) as i32);
+            writer.write_u32((time_ns % 1_000_000_000) as u32);
+            writer.write_f64(command * 100.0);
+            writer.write_u32(3);
+            [1.0, (pressure / 1e5) as f32, 3.0].into_iter().for_each(|bar| writer.write_f32(bar));
+            writer.write_u32(1);
+            writer.write_u8(0);
+            [vec![0, 1, 0, 0], body].concat()
+        })
+        .collect()
+}
+
+#[test]
+fn cdr_by_the_ros_2_definition_in_the_schema() {
+    let bytes = log(("plc/msg/Axis", "ros2msg", ROS.as_bytes()), "cdr", &ros_messages());
+    assert_eq!(read(bytes).unwrap().0, EXPECTED);
+}
+
+#[test]
+fn json_gives_the_same_samples() {
+    let messages: Vec<Vec<u8>> = EXPECTED
+        .iter()
+        .map(|(time_ns, command, pressure)| {
+            let (sec, nanosec) = (time_ns / 1_000_000_000, time_ns % 1_000_000_000);
+            let (percent, bar) = (command * 100.0, pressure / 1e5);
+            format!(r#"{{"stamp":{{"sec":{sec},"nanosec":{nanosec}}},"valve":{{"percent":{percent}}},"pressures":[1,{bar},3]}}"#).into_bytes()
+        })
+        .collect();
+    assert_eq!(read(log(("Axis", "jsonschema", b"{}"), "json", &messages)).unwrap().0, EXPECTED);
+}
+
+#[test]
+fn schema_that_does_not_parse_is_refused_in_one_line() {
+    let refused = |schema: (&str, &str, &[u8]), encoding| {
+        read(log(schema, encoding, &protobuf_messages())).unwrap_err()
+    };
+    let text = refused(("plc.Axis", "protobuf", b"\xff\xff\xff"), "protobuf");
+    assert!(
+        text.starts_with("log: topic /plc its protobuf schema does not parse: ") && !text.contains('\n'),
+        "{text}"
+    );
+    let set = protobuf_set().encode_to_vec();
+    let text = refused(("plc.Press", "protobuf", &set), "protobuf");
+    assert_eq!(text, "log: topic /plc its protobuf schema does not define the message `plc.Press`");
+    let text = refused(("plc/msg/Axis", "ros2msg", b"float64 = = x\nnonsense"), "cdr");
+    assert!(
+        text.starts_with("log: topic /plc its ros2msg schema does not parse: ") && !text.contains('\n'),
+        "{text}"
+    );
+    let text = refused(("plc/msg/Axis", "ros2idl", b"module plc {};"), "cdr");
+    assert!(text.contains("with a schema in `ros2idl`"), "{text}");
+    let text = refused(("plc.Axis", "flatbuffer", b""), "flatbuffer");
+    assert_eq!(
+        text,
+        "log: topic /plc has the message encoding `flatbuffer`; this version reads json, protobuf and cdr"
+    );
+}
+
+#[test]
+fn message_that_does_not_fit_its_schema_is_left_out_and_told() {
+    let set = protobuf_set().encode_to_vec();
+    let mut messages = protobuf_messages();
+    messages.insert(1, vec![0x12, 0x7f, 0x01]);
+    let (samples, notes) = read(log(("plc.Axis", "protobuf", &set), "protobuf", &messages)).unwrap();
+    assert_eq!(samples, EXPECTED);
+    assert_eq!(notes.len(), 1);
+    assert!(
+        notes[0].starts_with(
+            "log: 1 messages left out as unreadable, the first at 5 ns: does not fit its schema"
+        ),
+        "{notes:?}"
+    );
+
+    let mut messages = ros_messages();
+    messages.insert(0, vec![0, 1, 0, 0, 1, 2]);
+    messages.push(vec![0, 9, 0, 0]);
+    // A sequence that says it has four thousand million elements.
+    messages.push([vec![0, 1, 0, 0], vec![0; 16], vec![0xff; 4]].concat());
+    let (samples, notes) = read(log(("plc/msg/Axis", "ros2msg", ROS.as_bytes()), "cdr", &messages)).unwrap();
+    assert_eq!(samples, EXPECTED);
+    assert!(notes[0].starts_with("log: 3 messages left out as unreadable"), "{notes:?}");
+}
+
+#[test]
+fn default_mapping_does_not_trip_over_other_topics() {
+    let bytes =
+        log(("std_msgs/msg/String", "ros2msg", b"string data"), "cdr", &[vec![0, 1, 0, 0, 0, 0, 0, 0]]);
+    let mut source = McapSource::new(Cursor::new(bytes), "log", Config::default().mapping(None)).unwrap();
+    let text = source.next_sample().unwrap_err().to_string();
+    assert!(text.contains("the log holds /plc (cdr, 1 messages)"), "{text}");
+}
