@@ -1,4 +1,5 @@
 //! Logs with protobuf and ROS 2 messages: the same samples as from JSON, and one line for what does not fit.
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use std::io::Cursor;
 
@@ -42,8 +43,11 @@ fn log(schema: (&str, &str, &[u8]), encoding: &str, messages: &[Vec<u8>]) -> Vec
     bytes.into_inner()
 }
 
-/// Time in ns, command and cap pressure of each sample; and the notes.
-fn read(bytes: Vec<u8>) -> Result<(Vec<(i64, f64, f64)>, Vec<String>), String> {
+/// Time in ns, command and cap pressure.
+type Row = (i64, f64, f64);
+
+/// The samples and the notes.
+fn read(bytes: Vec<u8>) -> Result<(Vec<Row>, Vec<String>), String> {
     let mut source = McapSource::new(Cursor::new(bytes), "log", mapping()).unwrap();
     let mut samples = Vec::new();
     while let Some(sample) = source.next_sample().map_err(|failure| failure.to_string())? {
@@ -56,8 +60,7 @@ fn read(bytes: Vec<u8>) -> Result<(Vec<(i64, f64, f64)>, Vec<String>), String> {
     Ok((samples, source.notes()))
 }
 
-const EXPECTED: [(i64, f64, f64); 2] =
-    [(1_750_000_000_001_000_000, 0.25, 8.5e6), (1_750_000_000_002_000_000, -0.5, 9e6)];
+const EXPECTED: [Row; 2] = [(1_750_000_000_001_000_000, 0.25, 8.5e6), (1_750_000_000_002_000_000, -0.5, 9e6)];
 
 fn protobuf_set() -> FileDescriptorSet {
     let field =
@@ -224,6 +227,16 @@ fn message_that_does_not_fit_its_schema_is_left_out_and_told() {
     let (samples, notes) = read(log(("plc/msg/Axis", "ros2msg", ROS.as_bytes()), "cdr", &messages)).unwrap();
     assert_eq!(samples, EXPECTED);
     assert!(notes[0].starts_with("log: 3 messages left out as unreadable"), "{notes:?}");
+}
+
+/// A message that holds itself would never end.
+#[test]
+fn definition_that_refers_to_itself_is_followed_only_so_far() {
+    let ros = "Self inner\nfloat64 percent\n===\nMSG: plc/Self\nSelf inner\nfloat64 percent\n";
+    let bytes = log(("plc/msg/Axis", "ros2msg", ros.as_bytes()), "cdr", &[vec![0, 1, 0, 0, 0, 0, 0, 0]]);
+    let mut source = McapSource::new(Cursor::new(bytes), "log", mapping()).unwrap();
+    assert!(source.next_sample().is_err());
+    assert!(source.notes()[0].contains("more than 32 messages deep"), "{:?}", source.notes());
 }
 
 #[test]

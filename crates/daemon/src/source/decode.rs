@@ -4,18 +4,12 @@
 //! JSON messages are picked from as text. The others are decoded into the same tree of values that a JSON text
 //! would give, so that field paths mean the same in every encoding.
 
-use std::collections::HashMap;
-
 use prost_reflect::{DescriptorPool, DynamicMessage, MapKey, MessageDescriptor, ReflectMessage};
-use re_cdr::{BigEndian, CdrReader, LittleEndian};
-use re_ros_msg::MessageSchema;
-use re_ros_msg::deserialize::primitive_array::PrimitiveArray;
-use re_ros_msg::deserialize::{TypeResolver, decode_message};
-use re_ros_msg::message_spec::{ComplexType, MessageSpecification, message_package};
 use serde_json::{Map, Number, Value};
 
 use super::fields::{FieldTree, Picked};
 use super::mcap_file::SchemaRecord;
+use super::ros::RosMessage;
 
 /// What turns a channel's messages into values.
 pub enum Decoder {
@@ -25,12 +19,6 @@ pub enum Decoder {
     Protobuf(MessageDescriptor),
     /// CDR, by its message's definition.
     Cdr(Box<RosMessage>),
-}
-
-/// A ROS 2 message's definition with those that it refers to.
-pub struct RosMessage {
-    spec: MessageSpecification,
-    dependencies: HashMap<String, MessageSpecification>,
 }
 
 impl Decoder {
@@ -50,7 +38,7 @@ impl Decoder {
                 })
             }
             ("cdr", Some(schema)) if schema.encoding == "ros2msg" => {
-                RosMessage::parse(schema).map(Decoder::Cdr)
+                RosMessage::parse(&schema.name, &schema.data).map(|message| Decoder::Cdr(Box::new(message)))
             }
             ("protobuf" | "cdr", Some(schema)) => Err(format!(
                 "has {encoding} messages with a schema in `{}`; this version reads protobuf with `protobuf` and cdr with `ros2msg`",
@@ -100,7 +88,8 @@ fn pick_with_nan(fields: &FieldTree, json: &[u8], picked: &mut Picked) -> Result
     fields.pick(mended.as_bytes(), picked)
 }
 
-fn number(value: f64) -> Value {
+/// A JSON number; null for one that is none.
+pub(crate) fn number(value: f64) -> Value {
     Number::from_f64(value).map_or(Value::Null, Value::Number)
 }
 
@@ -138,92 +127,5 @@ fn key_text(key: &MapKey) -> String {
         MapKey::U32(key) => key.to_string(),
         MapKey::U64(key) => key.to_string(),
         MapKey::String(key) => key.clone(),
-    }
-}
-
-/// Bytes before a CDR message: representation and options (DDS-XTypes 1.3, 7.6.2.1.2).
-const ENCAPSULATION_BYTES: usize = 4;
-
-impl RosMessage {
-    fn parse(schema: &SchemaRecord) -> Result<Box<Self>, String> {
-        let text =
-            std::str::from_utf8(&schema.data).map_err(|_| "its ros2msg schema is not text".to_owned())?;
-        let parsed = MessageSchema::parse(&schema.name, text)
-            .map_err(|error| format!("its ros2msg schema does not parse: {error:#}"))?;
-        let dependencies =
-            parsed.dependencies.into_iter().map(|spec| (short_name(&spec.name), spec)).collect();
-        Ok(Box::new(RosMessage { spec: parsed.spec, dependencies }))
-    }
-
-    fn decode(&self, message: &[u8]) -> Result<Value, String> {
-        let (encapsulation, body) = message
-            .split_at_checked(ENCAPSULATION_BYTES)
-            .ok_or_else(|| format!("{} bytes are no CDR message", message.len()))?;
-        // The second byte is the representation: plain CDR, big or little endian.
-        let value = match encapsulation[1] {
-            0 => decode_message(&mut CdrReader::<BigEndian>::new(body), &self.spec, self),
-            1 => decode_message(&mut CdrReader::<LittleEndian>::new(body), &self.spec, self),
-            other => return Err(format!("CDR representation {other} is not read; plain CDR is 0 or 1")),
-        };
-        value.map(of_ros).map_err(|error| format!("does not fit its schema: {error}"))
-    }
-}
-
-/// `pkg/msg/Type` and `pkg/Type` are the same.
-fn short_name(name: &str) -> String {
-    name.replacen("/msg/", "/", 1)
-}
-
-impl TypeResolver for RosMessage {
-    fn resolve(&self, scope: &MessageSpecification, ty: &ComplexType) -> Option<&MessageSpecification> {
-        let full_name = match ty {
-            ComplexType::Absolute { package, name } => format!("{package}/{name}"),
-            ComplexType::Relative { name } => match message_package(&scope.name) {
-                Some(package) => format!("{package}/{name}"),
-                None => name.clone(),
-            },
-        };
-        self.dependencies.get(&short_name(&full_name))
-    }
-}
-
-fn of_ros(value: re_ros_msg::deserialize::Value) -> Value {
-    use re_ros_msg::deserialize::Value as R;
-    match value {
-        R::Bool(bit) => Value::Bool(bit),
-        R::I8(value) => Value::from(value),
-        R::U8(value) => Value::from(value),
-        R::I16(value) => Value::from(value),
-        R::U16(value) => Value::from(value),
-        R::I32(value) => Value::from(value),
-        R::U32(value) => Value::from(value),
-        R::I64(value) => Value::from(value),
-        R::U64(value) => Value::from(value),
-        R::F32(value) => number(f64::from(value)),
-        R::F64(value) => number(value),
-        R::String(text) => Value::String(text),
-        R::Array(values) | R::Sequence(values) => Value::Array(values.into_iter().map(of_ros).collect()),
-        R::PrimitiveArray(values) | R::PrimitiveSeq(values) => of_ros_array(values),
-        R::Message(fields) => {
-            Value::Object(fields.into_iter().map(|(name, value)| (name, of_ros(value))).collect())
-        }
-    }
-}
-
-fn of_ros_array(values: PrimitiveArray) -> Value {
-    use PrimitiveArray as A;
-    match values {
-        A::Bool(values) => Value::from(values),
-        A::I8(values) => Value::from(values),
-        A::U8(values) => Value::from(values),
-        A::I16(values) => Value::from(values),
-        A::U16(values) => Value::from(values),
-        A::I32(values) => Value::from(values),
-        A::U32(values) => Value::from(values),
-        A::I64(values) => Value::from(values),
-        A::U64(values) => Value::from(values),
-        A::F32(values) => Value::Array(values.into_iter().map(|value| number(f64::from(value))).collect()),
-        A::F64(values) => Value::Array(values.into_iter().map(number).collect()),
-        A::String(values) => Value::from(values),
     }
 }

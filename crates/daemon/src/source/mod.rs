@@ -5,6 +5,7 @@ pub mod decode;
 pub mod fields;
 pub mod mcap;
 pub mod mcap_file;
+pub mod ros;
 pub mod survey;
 
 use std::fs::File;
