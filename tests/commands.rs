@@ -252,6 +252,29 @@ fn mapping_reads_other_topics_fields_and_units() {
     close(found[0], 1e-6, 0.03);
 }
 
+/// Another press: other areas, mass, stroke, period, strokes and rate. Its cycle is nearly symmetric in time, so that half a
+/// period off the strokes look alike.
+#[test]
+fn another_machine_is_trained_and_read_from_its_plant_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let plant = fixture("other_press.toml").to_str().unwrap().to_owned();
+    let small = ["--observations", "500", "--held-out", "100", "--trials", "6"];
+    stdout(&seepd(["train", "--plant", &plant, "--out", &path("model.json")].into_iter().chain(small)));
+    let log = folder.path().join("log.mcap");
+    for (area, command_only) in [("4e-7", false), ("4e-7", true), ("5e-6", true)] {
+        let mut more = vec!["--plant", &plant, "--cycles", "8", "--start-at", "2.5", "--leak-area", area];
+        more.extend(command_only.then_some("--command-only"));
+        simulate(&log, &more);
+        let lines = replay(&log, &["--model", &path("model.json")]);
+        let found = estimates(&lines);
+        assert_eq!((found.len(), reasons(&lines).len()), (7, 1), "{area}: {lines:?}");
+        // A model of 500 machines; the interval of this plant at 4e-7 m² is about 10 %.
+        found.iter().for_each(|found| close(*found, area.parse().unwrap(), 0.25));
+        assert!((lines[1]["t_start_s"].as_f64().unwrap() - 3.5).abs() < 0.1);
+    }
+}
+
 #[test]
 fn logs_in_a_row_are_one_record() {
     let folder = tempfile::tempdir().unwrap();

@@ -304,6 +304,11 @@ impl<'m> CycleReader<'m> {
         lost: i64,
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
+        match state.segment.flush(&self.definition) {
+            Some(Finding::Cycle(span)) => self.found(state, span, sink),
+            Some(Finding::OrphanedLastStroke(orphan)) => self.orphaned(state, orphan, sink),
+            None => {}
+        }
         if let Some(span) = state.open.take() {
             if span.end - state.next <= self.bearable_samples() {
                 self.close(state, &span, sink);

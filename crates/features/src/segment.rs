@@ -14,6 +14,8 @@ pub struct Anchor<'m> {
     pub end_s: f64,
     /// Least normalised correlation, −1 … 1, that counts as this stroke.
     pub least_correlation: f64,
+    /// Normalised correlation that no other part of a cycle reaches: the match needs not wait for a better one.
+    pub sure_correlation: f64,
     /// Least standard deviation of the command over the stroke, share of full command.
     pub least_deviation: f64,
 }
@@ -85,8 +87,10 @@ pub const MAX_PHASES: usize = 16;
 pub const MAX_TEMPLATE_BINS: usize = 128;
 /// Most bins of a cycle.
 pub const MAX_CYCLE_BINS: usize = 512;
-/// A better match within this time replaces the one before, share of the period.
+/// A sure match is confirmed after this time, in which a still better one may follow, share of the period.
 const CONFIRM_SHARE: f64 = 0.05;
+/// Of two matches closer than this the better one is the stroke; a match that is not sure waits that long.
+const RIVAL_SHARE: f64 = 0.4;
 
 impl CycleDefinition<'_> {
     /// Samples of a whole cycle.
@@ -97,7 +101,8 @@ impl CycleDefinition<'_> {
     /// Least length of the ring buffer that [`CycleState`](crate::CycleState) needs: a cycle, what the distance
     /// between the strokes may stretch, and the time until a stroke is confirmed.
     pub fn ring_samples(&self) -> usize {
-        ((1.0 + 2.0 * self.tolerance + 2.0 * CONFIRM_SHARE) * self.period_s * self.sample_rate_hz) as usize
+        ((1.0 + 2.0 * self.tolerance + RIVAL_SHARE + CONFIRM_SHARE) * self.period_s * self.sample_rate_hz)
+            as usize
             + 2 * self.bin_samples
     }
 
@@ -113,6 +118,10 @@ impl CycleDefinition<'_> {
 
     fn tolerance_samples(&self) -> f64 {
         self.tolerance * self.period_s * self.sample_rate_hz
+    }
+
+    fn rival_samples(&self) -> f64 {
+        RIVAL_SHARE * self.period_s * self.sample_rate_hz
     }
 
     fn confirm_samples(&self) -> f64 {
@@ -244,8 +253,19 @@ impl SegmentState {
                 self.matched(which, Match { end, correlation: peak }, definition.confirm_samples());
             }
         }
-        let last = self.last.filter(|last| now as f64 - last.end >= definition.confirm_samples())?;
+        let last = self.last?;
+        let sure = last.correlation >= definition.anchors[1].sure_correlation;
+        let wait = if sure { definition.confirm_samples() } else { definition.rival_samples() };
+        if (now as f64 - last.end) < wait {
+            return None;
+        }
         self.last = None;
+        Some(self.cycle_ending_with(definition, last))
+    }
+
+    /// The stream ends: the last stroke that was waiting for a better one is the best that there is.
+    pub(crate) fn flush(&mut self, definition: &CycleDefinition<'_>) -> Option<Finding> {
+        let last = self.last.take()?;
         Some(self.cycle_ending_with(definition, last))
     }
 
@@ -273,7 +293,11 @@ impl SegmentState {
         let mut best: Option<Match> = None;
         for first in self.first.iter().flatten() {
             let fits = libm::fabs(last.end - first.end - planned) <= tolerance;
-            if fits && best.is_none_or(|best| first.correlation > best.correlation) {
+            let is_rivalled = self.first.iter().flatten().any(|other| {
+                other.correlation > first.correlation
+                    && libm::fabs(other.end - first.end) < definition.rival_samples()
+            });
+            if fits && !is_rivalled && best.is_none_or(|best| first.correlation > best.correlation) {
                 best = Some(*first);
             }
         }

@@ -100,6 +100,7 @@ fn check_cycle(cycle: &Cycle, sample_rate_hz: f64) -> Result<(), ModelError> {
         let path = |key: &str| format!("cycle.anchors[{index}].{key}");
         within(&path("end_s"), anchor.end_s, 0.0, 2.0 * cycle.period_s)?;
         within(&path("least_correlation"), anchor.least_correlation, 0.0, 1.0)?;
+        within(&path("sure_correlation"), anchor.sure_correlation, anchor.least_correlation, 1.0)?;
         within(&path("least_deviation"), anchor.least_deviation, 0.0, 1.0)?;
         within(&path("template.length"), anchor.template.len() as f64, 3.0, MAX_TEMPLATE_BINS as f64)?;
         all_finite(&path("template"), anchor.template.iter().map(|value| f64::from(*value)))?;

@@ -101,6 +101,7 @@ impl Cycle {
             template: &anchor.template,
             end_s: anchor.end_s,
             least_correlation: anchor.least_correlation,
+            sure_correlation: anchor.sure_correlation,
             least_deviation: anchor.least_deviation,
         };
         let [first, last] = &self.anchors;
@@ -129,6 +130,8 @@ pub struct AnchorFile {
     pub end_s: f64,
     /// Least normalised correlation.
     pub least_correlation: f64,
+    /// Normalised correlation that no other part of a cycle reaches.
+    pub sure_correlation: f64,
     /// Least standard deviation of the command over the stroke.
     pub least_deviation: f64,
     /// Shape in bins, mean 0 and sum of squares 1.

@@ -178,6 +178,7 @@ impl<'m> Reading<'m> {
             let noisy = (command + noise.normal(sigma)).clamp(-1.0, 1.0);
             reader.push(&mut state, &Sample::command(time_ns, noisy), &mut keep);
         }
+        reader.finish(&mut state, &mut keep);
         found
     }
 }

@@ -25,6 +25,7 @@ pub(crate) fn cycle_of(spec: &MachineSpec) -> Result<Cycle, TrainError> {
     let anchor = |index: usize| AnchorFile {
         end_s: cycle.moves[index].to_s + SHOULDER_SHARE * cycle.period_s,
         least_correlation: 0.0,
+        sure_correlation: 1.0,
         least_deviation: 0.0,
         template: Vec::new(),
     };

@@ -293,7 +293,7 @@ fn with_templates(spec: &MachineSpec, settings: &Settings) -> Result<Cycle, Trai
     let observations =
         dataset::draw(spec, settings.spread, TEMPLATE_MACHINES, settings.seed, purpose::TEMPLATE);
     let bin_samples = cycle.bin_samples;
-    let shapes: Vec<[Vec<f64>; 2]> = dataset::simulate(&observations, |index, commands| {
+    let shapes: Vec<Shapes> = dataset::simulate(&observations, |index, commands| {
         let mut noise = noise_of(&observations[index], settings);
         let filter = settings.filter;
         let mut state = seepd_features::KalmanState::default();
@@ -305,18 +305,19 @@ fn with_templates(spec: &MachineSpec, settings: &Settings) -> Result<Cycle, Trai
             })
             .collect();
         let lead = dataset::lead(&observations[index]);
-        windows.map(|(from_s, to_s)| {
-            let from = lead + (from_s * rate).round() as usize;
-            let to = lead + (to_s * rate).round() as usize;
-            filtered[from..to]
-                .chunks_exact(bin_samples)
-                .map(|bin| bin.iter().sum::<f64>() / bin.len() as f64)
-                .collect()
-        })
+        let binned = |from: usize, to: usize| -> Vec<f64> {
+            let bins = filtered[from..to].chunks_exact(bin_samples);
+            bins.map(|bin| bin.iter().sum::<f64>() / bin.len() as f64).collect()
+        };
+        let at = |at_s: f64| lead + (at_s * rate).round() as usize;
+        Shapes {
+            strokes: windows.map(|(from_s, to_s)| binned(at(from_s), at(to_s))),
+            cycle: binned(at(0.0), at(spec.cycle.period_s * observations[index].stretch)),
+        }
     });
     for which in 0..2 {
         let anchor = &mut cycle.anchors[which];
-        let centred: Vec<Vec<f64>> = shapes.iter().map(|shape| normalised(&shape[which])).collect();
+        let centred: Vec<Vec<f64>> = shapes.iter().map(|shape| normalised(&shape.strokes[which])).collect();
         let mean: Vec<f64> =
             (0..centred[0].len()).map(|bin| centred.iter().map(|shape| shape[bin]).sum()).collect();
         let template = normalised(&mean);
@@ -324,10 +325,19 @@ fn with_templates(spec: &MachineSpec, settings: &Settings) -> Result<Cycle, Trai
             .iter()
             .map(|shape| shape.iter().zip(&template).map(|(a, b)| a * b).sum::<f64>())
             .fold(f64::INFINITY, f64::min);
-        let deviation = shapes.iter().map(|shape| deviation(&shape[which])).fold(f64::INFINITY, f64::min);
+        let deviation =
+            shapes.iter().map(|shape| deviation(&shape.strokes[which])).fold(f64::INFINITY, f64::min);
         // Room for what the simulator does not know; other parts of the cycle are told apart by their order.
         anchor.least_correlation = round_to(0.9 * least, 3).clamp(0.3, 0.9);
-        anchor.least_deviation = round_to(0.3 * deviation, 4);
+        let least_deviation = round_to(0.3 * deviation, 4);
+        anchor.least_deviation = least_deviation;
+        let own = (windows[which].0 * rate / bin_samples as f64).round() as usize;
+        let rival = shapes
+            .iter()
+            .map(|shape| best_elsewhere(&shape.cycle, &template, own, least_deviation))
+            .fold(0.0, f64::max);
+        // Half way between the best of the rest and a perfect match.
+        anchor.sure_correlation = round_to(0.5 * (1.0 + rival), 3).clamp(anchor.least_correlation, 1.0);
         anchor.template = template.iter().map(|value| *value as f32).collect();
         // Whole bins only: the template may end before its window does.
         let bins = template.len() as f64 * bin_samples as f64;
@@ -335,6 +345,32 @@ fn with_templates(spec: &MachineSpec, settings: &Settings) -> Result<Cycle, Trai
     }
     Ok(cycle)
 }
+
+/// A simulated cycle for making templates, in bins.
+struct Shapes {
+    strokes: [Vec<f64>; 2],
+    cycle: Vec<f64>,
+}
+
+/// The best normalised correlation of a template with the cycle, run in a ring, away from its own place.
+fn best_elsewhere(cycle: &[f64], template: &[f64], own: usize, least_deviation: f64) -> f64 {
+    let bins = cycle.len();
+    let away = (AWAY_SHARE * bins as f64) as usize;
+    let window =
+        |start: usize| -> Vec<f64> { (0..template.len()).map(|bin| cycle[(start + bin) % bins]).collect() };
+    (0..bins)
+        .filter(|start| {
+            let distance = start.abs_diff(own);
+            distance.min(bins - distance) > away
+        })
+        .map(window)
+        .filter(|shape| deviation(shape) > least_deviation)
+        .map(|shape| normalised(&shape).iter().zip(template).map(|(a, b)| a * b).sum::<f64>())
+        .fold(0.0, f64::max)
+}
+
+/// Closer than this share of the period a match is still the stroke's own.
+const AWAY_SHARE: f64 = 0.08;
 
 fn round_to(value: f64, digits: i32) -> f64 {
     let scale = 10f64.powi(digits);
