@@ -315,7 +315,7 @@ fn with_templates(spec: &MachineSpec, settings: &Settings) -> Result<Cycle, Trai
             cycle: binned(at(0.0), at(spec.cycle.period_s * observations[index].stretch)),
         }
     });
-    for which in 0..2 {
+    for (which, window) in windows.iter().enumerate() {
         let anchor = &mut cycle.anchors[which];
         let centred: Vec<Vec<f64>> = shapes.iter().map(|shape| normalised(&shape.strokes[which])).collect();
         let mean: Vec<f64> =
@@ -331,7 +331,7 @@ fn with_templates(spec: &MachineSpec, settings: &Settings) -> Result<Cycle, Trai
         anchor.least_correlation = round_to(0.9 * least, 3).clamp(0.3, 0.9);
         let least_deviation = round_to(0.3 * deviation, 4);
         anchor.least_deviation = least_deviation;
-        let own = (windows[which].0 * rate / bin_samples as f64).round() as usize;
+        let own = (window.0 * rate / bin_samples as f64).round() as usize;
         let rival = shapes
             .iter()
             .map(|shape| best_elsewhere(&shape.cycle, &template, own, least_deviation))
@@ -341,7 +341,7 @@ fn with_templates(spec: &MachineSpec, settings: &Settings) -> Result<Cycle, Trai
         anchor.template = template.iter().map(|value| *value as f32).collect();
         // Whole bins only: the template may end before its window does.
         let bins = template.len() as f64 * bin_samples as f64;
-        anchor.end_s = round_to(windows[which].0 + bins / rate, 6);
+        anchor.end_s = round_to(window.0 + bins / rate, 6);
     }
     Ok(cycle)
 }
