@@ -13,7 +13,7 @@ use crate::failure::{Code, Failure};
 
 /// Checks plant, model and configuration files; tells line, key and the nearest known key of what is wrong.
 ///
-/// JSON is a model; TOML with a table [plant], [controller], [cycle] or [effects] is a plant; other TOML is a
+/// JSON is a model; TOML with a table `[plant]`, `[controller]`, `[cycle]` or `[effects]` is a plant; other TOML is a
 /// configuration, whose model is checked too. Every file is checked, also after one that is wrong.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd check plant.toml model.json seepd.toml")]
