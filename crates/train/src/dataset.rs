@@ -87,7 +87,6 @@ pub fn draw(spec: &MachineSpec, spread: Spread, count: usize, seed: u64, purpose
             let load_factor = noise.factor(spread.load);
             let stretch = noise.factor(spread.period);
             let rank = (index as f64 + noise.uniform(0.0, 1.0)) / count as f64;
-            // Neighbouring indices would be neighbouring leaks; a lane of eight then shares its fate.
             Observation { spec: varied, load_factor, stretch, leak_area_m2: leak_at(rank), stream }
         })
         .collect()

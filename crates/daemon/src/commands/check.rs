@@ -1,7 +1,6 @@
 //! `seepd check`: are these files what the program can use?
 
 use std::fs;
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -10,6 +9,7 @@ use serde::Serialize;
 use crate::cli::Outcome;
 use crate::config::{Config, load_model};
 use crate::failure::{Code, Failure};
+use crate::sink::terminal::print;
 
 /// Checks plant, model and configuration files; tells line, key and the nearest known key of what is wrong.
 ///
@@ -42,7 +42,6 @@ struct Finding {
 /// # Errors
 /// [`Failure`] with the first wrong file's code, once all files have been told of.
 pub fn run(arguments: &CheckArguments) -> Result<Outcome, Failure> {
-    let mut out = io::stdout().lock();
     let mut wrong: Vec<Failure> = Vec::new();
     for path in &arguments.files {
         let (kind, result) = check(path);
@@ -58,9 +57,10 @@ pub fn run(arguments: &CheckArguments) -> Result<Outcome, Failure> {
                 good: result.is_ok(),
                 message,
             };
-            tell(&mut out, &serde_json::to_string(&finding).unwrap_or_default())?;
+            let line = serde_json::to_string(&finding).unwrap_or_default();
+            print(format!("{line}\n").as_bytes())?;
         } else if let Ok(message) = &result {
-            tell(&mut out, &format!("{}: good {kind}: {message}", path.display()))?;
+            print(format!("{}: good {kind}: {message}\n", path.display()).as_bytes())?;
         }
         wrong.extend(result.err());
     }
@@ -69,15 +69,6 @@ pub fn run(arguments: &CheckArguments) -> Result<Outcome, Failure> {
     let others: Vec<String> = wrong.map(|failure| failure.message).collect();
     let message = std::iter::once(first.message).chain(others).collect::<Vec<_>>().join("\nseepd: ");
     Err(Failure::new(first.code, message))
-}
-
-fn tell(out: &mut impl Write, line: &str) -> Result<(), Failure> {
-    match writeln!(out, "{line}") {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(Failure::writing(Path::new("standard output"), error))
-        }
-        _ => Ok(()),
-    }
 }
 
 /// The file's kind, and what it is or what is wrong with it.

@@ -1,7 +1,7 @@
 //! `seepd demo`: the main job in one command.
 
 use std::fs;
-use std::io::{self, IsTerminal, Write};
+use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -16,7 +16,7 @@ use crate::event::{Event, Flag, FlagEvent};
 use crate::failure::Failure;
 use crate::html::demo::{DemoPage, FlagChange, Point};
 use crate::pipeline::{Pipeline, PipelineConfig};
-use crate::sink::terminal::Colour;
+use crate::sink::terminal::{self, Colour};
 use crate::source;
 use seepd_signals::Signal;
 
@@ -230,10 +230,5 @@ fn print(page: &DemoPage) -> Result<(), Failure> {
 }
 
 fn say(text: &str) -> Result<(), Failure> {
-    match writeln!(io::stdout(), "{text}") {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(Failure::writing(Path::new("standard output"), error))
-        }
-        _ => Ok(()),
-    }
+    terminal::print(format!("{text}\n").as_bytes())
 }

@@ -1,7 +1,6 @@
 //! `seepd completions` and `seepd man`: what a shell and a reader want to know of the command line.
 
 use std::fs;
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -10,6 +9,7 @@ use clap_mangen::Man;
 
 use crate::cli::{Outcome, description};
 use crate::failure::Failure;
+use crate::sink::terminal::print;
 
 /// Prints a shell's completion script.
 #[derive(Debug, Args)]
@@ -35,7 +35,8 @@ pub struct ManArguments {
 pub fn completions(arguments: &CompletionsArguments) -> Result<Outcome, Failure> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut description(), "seepd", &mut script);
-    print(&script)
+    print(&script)?;
+    Ok(Outcome::Good)
 }
 
 /// Runs `man`.
@@ -48,19 +49,11 @@ pub fn man(arguments: &ManArguments) -> Result<Outcome, Failure> {
         Man::new(description())
             .render(&mut text)
             .map_err(|error| Failure::writing(Path::new("standard output"), error))?;
-        return print(&text);
+        print(&text)?;
+        return Ok(Outcome::Good);
     };
     fs::create_dir_all(folder)
         .and_then(|()| clap_mangen::generate_to(description(), folder))
         .map_err(|error| Failure::writing(folder, error))?;
     Ok(Outcome::Good)
-}
-
-fn print(text: &[u8]) -> Result<Outcome, Failure> {
-    match io::stdout().write_all(text) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(Failure::writing(Path::new("standard output"), error))
-        }
-        _ => Ok(Outcome::Good),
-    }
 }

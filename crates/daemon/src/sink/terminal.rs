@@ -1,8 +1,23 @@
 //! Events as lines for a person.
 
 use std::io::{self, Write};
+use std::path::Path;
 
 use crate::event::{CycleLine, Event, Flag, FlagEvent, Summary};
+use crate::failure::Failure;
+
+/// Writes on standard output. A reader that goes away is no failure: it has what it wanted.
+///
+/// # Errors
+/// [`Failure`] where writing failed otherwise.
+pub fn print(text: &[u8]) -> Result<(), Failure> {
+    match io::stdout().write_all(text) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
+            Err(Failure::writing(Path::new("standard output"), error))
+        }
+        _ => Ok(()),
+    }
+}
 
 /// Whether colours are used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -121,9 +121,7 @@ impl<R: Read + Seek> McapSource<R> {
         let damage = if damage.is_empty() { damage } else { format!(" ({damage})") };
         Failure::data(format!("{}: no message has {wanted}; the log holds {listed}{damage}", self.name))
     }
-}
 
-impl<R: Read + Seek> McapSource<R> {
     fn io(&self, error: &std::io::Error) -> Failure {
         Failure::new(Code::Io, format!("{}: {error}", self.name))
     }

@@ -54,18 +54,34 @@ pub fn open(path: &Path, config: &Config, topic: Option<&str>) -> Result<Box<dyn
     let mut head = Vec::with_capacity(512);
     file.by_ref().take(512).read_to_end(&mut head).map_err(reading)?;
     let name = path.display().to_string();
-    if head.is_empty() {
-        return Err(Failure::data(format!("{name}: the file is empty")));
+    let kind = LogKind::of(&head, &name)?;
+    let file = File::open(path).map_err(reading)?;
+    Ok(match kind {
+        LogKind::Mcap => Box::new(mcap::McapSource::new(file, &name, mapping)?),
+        LogKind::Csv => Box::new(csv::CsvSource::new(file, &name, mapping, &config.time_column)?),
+    })
+}
+
+/// The kinds of logs that are read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum LogKind {
+    Mcap,
+    Csv,
+}
+
+impl LogKind {
+    /// Tells a log's kind by its first bytes, whatever its name.
+    pub(crate) fn of(head: &[u8], name: &str) -> Result<Self, Failure> {
+        if head.is_empty() {
+            Err(Failure::data(format!("{name}: the file is empty")))
+        } else if head.starts_with(&MCAP_MAGIC[..head.len().min(8)]) {
+            Ok(LogKind::Mcap)
+        } else if looks_like_text(head) {
+            Ok(LogKind::Csv)
+        } else {
+            Err(Failure::data(format!("{name}: is neither an MCAP log nor a CSV text with a header row")))
+        }
     }
-    if head.starts_with(&MCAP_MAGIC[..head.len().min(8)]) {
-        let file = File::open(path).map_err(reading)?;
-        return Ok(Box::new(mcap::McapSource::new(file, &name, mapping)?));
-    }
-    if looks_like_text(&head) {
-        let file = File::open(path).map_err(reading)?;
-        return Ok(Box::new(csv::CsvSource::new(file, &name, mapping, &config.time_column)?));
-    }
-    Err(Failure::data(format!("{name}: is neither an MCAP log nor a CSV text with a header row")))
 }
 
 fn looks_like_text(head: &[u8]) -> bool {

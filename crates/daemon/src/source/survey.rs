@@ -8,7 +8,7 @@ use seepd_signals::Signal;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::MCAP_MAGIC;
+use super::LogKind;
 use super::decode::Decoder;
 use super::mcap_file::{ChannelRecord, McapFile, SchemaRecord};
 use crate::failure::{Code, Failure};
@@ -105,23 +105,20 @@ pub fn survey<R: Read + Seek>(mut input: R, name: &str, time_column: &str) -> Re
     let mut head = Vec::new();
     input.by_ref().take(512).read_to_end(&mut head).map_err(io)?;
     input.seek(SeekFrom::Start(0)).map_err(io)?;
-    if head.is_empty() {
-        return Err(Failure::data(format!("{name}: the file is empty")));
-    }
-    let (kind, mut topics, notes) = if head.starts_with(MCAP_MAGIC) {
-        let (topics, notes) = survey_mcap(input, name)?;
-        ("MCAP", topics, notes)
-    } else if super::looks_like_text(&head) {
-        let (topic, notes) = survey_csv(input, name, time_column)?;
-        ("CSV", vec![topic], notes)
-    } else {
-        return Err(Failure::data(format!(
-            "{name}: is neither an MCAP log nor a CSV text with a header row"
-        )));
+    let kind = LogKind::of(&head, name)?;
+    let (title, mut topics, notes) = match kind {
+        LogKind::Mcap => {
+            let (topics, notes) = survey_mcap(input, name)?;
+            ("MCAP", topics, notes)
+        }
+        LogKind::Csv => {
+            let (topic, notes) = survey_csv(input, name, time_column)?;
+            ("CSV", vec![topic], notes)
+        }
     };
     topics.sort_by(|a, b| a.topic.cmp(&b.topic));
-    let mapping = guess(&mut topics, kind == "MCAP");
-    Ok(LogSurvey { schema: "seepd.inspect/1", file: name.into(), kind, topics, mapping, notes })
+    let mapping = guess(&mut topics, kind == LogKind::Mcap);
+    Ok(LogSurvey { schema: "seepd.inspect/1", file: name.into(), kind: title, topics, mapping, notes })
 }
 
 fn survey_mcap<R: Read + Seek>(input: R, name: &str) -> Result<(Vec<TopicSurvey>, Vec<String>), Failure> {
