@@ -124,7 +124,7 @@ fn endless_topic_is_passed_over_without_memory() {
 /// Time and command of every sample that a log gives, however it ends.
 fn samples_of(bytes: &[u8]) -> Vec<(i64, u64)> {
     let config = Config::default();
-    let Ok(mut source) = McapSource::new(Cursor::new(bytes), "log", config.mapping(None)) else {
+    let Ok(mut source) = McapSource::new(Cursor::new(bytes), "log", config.mapping()) else {
         return Vec::new();
     };
     let mut samples = Vec::new();

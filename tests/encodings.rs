@@ -243,7 +243,7 @@ fn definition_that_refers_to_itself_is_followed_only_so_far() {
 fn default_mapping_does_not_trip_over_other_topics() {
     let bytes =
         log(("std_msgs/msg/String", "ros2msg", b"string data"), "cdr", &[vec![0, 1, 0, 0, 0, 0, 0, 0]]);
-    let mut source = McapSource::new(Cursor::new(bytes), "log", Config::default().mapping(None)).unwrap();
+    let mut source = McapSource::new(Cursor::new(bytes), "log", Config::default().mapping()).unwrap();
     let text = source.next_sample().unwrap_err().to_string();
     assert!(text.contains("the log holds /plc (cdr, 1 messages)"), "{text}");
 }

@@ -3,6 +3,6 @@
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     let Ok(text) = std::str::from_utf8(data) else { return };
     if let Ok(config) = seepd::config::Config::parse(text) {
-        let _ = config.mapping(None);
+        let _ = config.mapping();
     }
 });

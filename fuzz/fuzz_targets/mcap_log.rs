@@ -3,11 +3,11 @@
 use std::io::Cursor;
 
 use seepd::config::Config;
-use seepd::source::{MCAP_MAGIC, Source, mcap::McapSource};
+use seepd::source::{Source, kind::MCAP_MAGIC, mcap::McapSource};
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     let bytes = if data.starts_with(MCAP_MAGIC) { data.to_vec() } else { [MCAP_MAGIC, data].concat() };
-    let Ok(mut source) = McapSource::new(Cursor::new(bytes), "log", Config::default().mapping(None)) else { return };
+    let Ok(mut source) = McapSource::new(Cursor::new(bytes), "log", Config::default().mapping()) else { return };
     while let Ok(Some(_)) = source.next_sample() {}
     let _ = source.notes();
 });

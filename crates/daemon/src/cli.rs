@@ -33,7 +33,7 @@ enum Command {
     /// Train a model on a simulated machine
     #[cfg(feature = "train")]
     Train(commands::train::TrainArguments),
-    /// Read logs (MCAP or CSV): leak by cycle, flags, summary
+    /// Read logs (MCAP, CSV, candump): leak by cycle, flags, summary
     Replay(commands::replay::ReplayArguments),
     /// Show what a log holds and propose the mapping that reads it
     Inspect(commands::inspect::InspectArguments),

@@ -24,20 +24,34 @@ pub struct Config {
     pub reference_dp_pa: f64,
     /// Name of a CSV file's time column, in seconds.
     pub time_column: String,
+    /// DBC file that describes a CAN log's frames, relative to this file.
+    pub dbc: Option<PathBuf>,
     /// Where each signal is. Empty: every signal under its own name, on the log's one topic that ends in `/signals`.
     pub signals: BTreeMap<Signal, SignalMapping>,
     /// Thresholds.
     pub alarm: AlarmConfig,
+    /// What the command line says on top.
+    #[serde(skip)]
+    pub selection: Selection,
+}
+
+/// What the command line says of where the signals are; it goes before the mapping.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Selection {
+    /// Topic of all signals.
+    pub topic: Option<String>,
+    /// Field of the command.
+    pub command: Option<String>,
 }
 
 /// Where a signal is and how it becomes SI: value · scale + offset.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SignalMapping {
-    /// Topic; empty: as if no mapping were given.
+    /// Topic, or the interface in a CAN log; empty: as if no mapping were given.
     pub topic: String,
-    /// Path of the field in the message, such as `axis.valve.command` or `data[3]`; a CSV file's column. Empty: the
-    /// signal's name.
+    /// Path of the field in the message, such as `axis.valve.command` or `data[3]`; a CSV file's column; a DBC file's
+    /// signal, as `Signal` or `Message.Signal`. Empty: the signal's name.
     pub field: String,
     /// Factor.
     pub scale: f64,
@@ -55,8 +69,10 @@ impl Default for Config {
             model: None,
             reference_dp_pa: 7e6,
             time_column: "t_s".into(),
+            dbc: None,
             signals: BTreeMap::new(),
             alarm: AlarmConfig::default(),
+            selection: Selection::default(),
         }
     }
 }
@@ -73,6 +89,13 @@ impl Default for SignalMapping {
     }
 }
 
+impl SignalMapping {
+    /// Whether a log may do without the signal: it is under its own name, and not the command.
+    pub fn may_be_missing(&self, signal: Signal) -> bool {
+        signal != Signal::Command && self.field == signal.name()
+    }
+}
+
 impl Config {
     /// Reads and checks a configuration file.
     ///
@@ -81,8 +104,9 @@ impl Config {
     pub fn read(path: &Path) -> Result<Self, Failure> {
         let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
         let mut config = Self::parse(&text).map_err(|message| Failure::configuration(path, message))?;
-        if let (Some(model), Some(folder)) = (&config.model, path.parent()) {
-            config.model = Some(folder.join(model));
+        if let Some(folder) = path.parent() {
+            config.model = config.model.map(|model| folder.join(model));
+            config.dbc = config.dbc.map(|dbc| folder.join(dbc));
         }
         Ok(config)
     }
@@ -111,8 +135,8 @@ impl Config {
         Ok(config)
     }
 
-    /// The mapping in force: the given one, with names filled in.
-    pub fn mapping(&self, topic: Option<&str>) -> Vec<(Signal, SignalMapping)> {
+    /// The mapping in force: the given one, with names filled in and the selection on top.
+    pub fn mapping(&self) -> Vec<(Signal, SignalMapping)> {
         let mut mapping: Vec<(Signal, SignalMapping)> = if self.signals.is_empty() {
             Signal::ALL.into_iter().map(|signal| (signal, SignalMapping::default())).collect()
         } else {
@@ -122,8 +146,11 @@ impl Config {
             if mapping.field.is_empty() {
                 mapping.field = signal.name().into();
             }
-            if let Some(topic) = topic {
-                mapping.topic = topic.into();
+            if let Some(topic) = &self.selection.topic {
+                mapping.topic.clone_from(topic);
+            }
+            if let Some(field) = self.selection.command.as_ref().filter(|_| *signal == Signal::Command) {
+                mapping.field.clone_from(field);
             }
         }
         mapping

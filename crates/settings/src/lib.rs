@@ -39,16 +39,19 @@ fn with_nearest_key(message: &str) -> String {
 
 /// "unknown key `a`; did you mean `b`?", or the list where nothing is near.
 pub fn unknown_key(unknown: &str, known: &[&str]) -> String {
-    let near = known
-        .iter()
-        .map(|name| (strsim::jaro_winkler(&unknown.to_lowercase(), &name.to_lowercase()), name))
-        .max_by(|a, b| a.0.total_cmp(&b.0));
-    match near {
-        Some((likeness, name)) if likeness > 0.7 => {
-            format!("unknown key `{unknown}`; did you mean `{name}`?")
-        }
-        _ => format!("unknown key `{unknown}`; known are {}", known.join(", ")),
+    match nearest(unknown, known.iter().copied()) {
+        Some(name) => format!("unknown key `{unknown}`; did you mean `{name}`?"),
+        None => format!("unknown key `{unknown}`; known are {}", known.join(", ")),
     }
+}
+
+/// The known name that the unknown one is most like, if it is like one.
+pub fn nearest<'k>(unknown: &str, known: impl Iterator<Item = &'k str>) -> Option<&'k str> {
+    known
+        .map(|name| (strsim::jaro_winkler(&unknown.to_lowercase(), &name.to_lowercase()), name))
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .filter(|(likeness, _)| *likeness > 0.7)
+        .map(|(_, name)| name)
 }
 
 #[cfg(test)]

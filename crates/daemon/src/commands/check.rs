@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
+use crate::can::dbc::Dbc;
 use crate::cli::Outcome;
 use crate::config::{Config, load_model};
 use crate::failure::{Code, Failure};
@@ -131,10 +132,27 @@ fn check_plant(path: &Path, _text: &str) -> Result<String, Failure> {
 fn check_configuration(path: &Path) -> Result<String, Failure> {
     let config = Config::read(path)?;
     let model = config.load_model().map_err(|failure| Failure::new(Code::Configuration, failure.message))?;
+    check_dbc(&config)?;
     Ok(format!(
         "axis {}, {} mapped signals, model of {} trees",
         config.axis,
         config.signals.len(),
         model.ensemble().trees()
     ))
+}
+
+/// Whether the DBC file, if there is one, names the mapped signals.
+fn check_dbc(config: &Config) -> Result<(), Failure> {
+    let Some(path) = &config.dbc else { return Ok(()) };
+    let dbc = Dbc::read(path).map_err(|failure| Failure::new(Code::Configuration, failure.message))?;
+    for (signal, mapping) in config.mapping() {
+        match dbc.find(&mapping.field) {
+            Err(message) if !mapping.may_be_missing(signal) => {
+                let message = format!("signals.{}: {message}", signal.name());
+                return Err(Failure::new(Code::Configuration, message));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
 }

@@ -116,7 +116,7 @@ fn replay(log: &Path, spec: &MachineSpec, turns: &[Turn]) -> Result<DemoPage, Fa
         median_error: 0.0,
         duration_s: turns.len() as f64 * spec.cycle.period_s,
     };
-    let mut source = source::open(log, &config, None)?;
+    let mut source = source::open(log, &config)?;
     let mut number = 0;
     while let Some(sample) = source.next_sample()? {
         let t_s = sample.time_ns as f64 / 1e9;

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::can::dbc::Dbc;
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::sink::terminal::print;
@@ -16,10 +17,10 @@ use crate::source::survey::{LogSurvey, survey};
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd inspect press-1.mcap\n  seepd inspect press-1.mcap > seepd.toml   # the mapping alone\n  \
-                        seepd inspect --json press-1.mcap | jq .topics"
+                        seepd inspect --dbc press.dbc candump.log\n  seepd inspect --json press-1.mcap | jq .topics"
 )]
 pub struct InspectArguments {
-    /// Log: MCAP, or CSV with a header row
+    /// Log: MCAP, CSV with a header row, or candump
     #[arg(value_name = "LOG")]
     log: PathBuf,
     /// Print one JSON object instead
@@ -28,6 +29,9 @@ pub struct InspectArguments {
     /// Name of a CSV file's time column, in seconds
     #[arg(long, default_value = "t_s", value_name = "COLUMN")]
     time_column: String,
+    /// DBC file that describes a CAN log's frames
+    #[arg(long, value_name = "FILE")]
+    dbc: Option<PathBuf>,
 }
 
 /// Runs the command: the overview goes to standard error, the mapping to standard output, ready for a file.
@@ -37,7 +41,8 @@ pub struct InspectArguments {
 pub fn run(arguments: &InspectArguments) -> Result<Outcome, Failure> {
     let file = File::open(&arguments.log).map_err(|error| Failure::reading(&arguments.log, &error))?;
     let name = arguments.log.display().to_string();
-    let found = survey(file, &name, &arguments.time_column)?;
+    let dbc = arguments.dbc.as_deref().map(Dbc::read).transpose()?;
+    let found = survey(file, &name, &arguments.time_column, dbc.as_ref())?;
     if arguments.json {
         let text = serde_json::to_string_pretty(&found).map_err(|error| {
             Failure::new(Code::Internal, format!("writing the overview as JSON: {error}"))
@@ -46,6 +51,9 @@ pub fn run(arguments: &InspectArguments) -> Result<Outcome, Failure> {
     } else {
         // Nobody reads the overview where standard error is closed; the mapping still counts.
         let _ = print_overview(&found);
+        if let Some(dbc) = &arguments.dbc {
+            print(format!("dbc = {}\n\n", toml::Value::from(dbc.display().to_string())).as_bytes())?;
+        }
         print(found.mapping_toml().as_bytes())?;
     }
     Ok(Outcome::Good)

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use crate::cli::Outcome;
-use crate::config::{Config, load_model};
+use crate::config::{Config, Selection, load_model};
 use crate::event::{Event, Flag, Summary};
 use crate::failure::{Code, Failure};
 use crate::pipeline::{Pipeline, PipelineConfig};
@@ -17,17 +17,18 @@ use crate::sink::mcap::EventSink;
 use crate::sink::terminal::{self, Colour};
 use crate::source;
 
-/// Reads logs (MCAP or CSV) and tells the leak of each duty cycle, the flags and a summary.
+/// Reads logs (MCAP, CSV, candump) and tells the leak of each duty cycle, the flags and a summary.
 ///
 /// Several logs are read one after the other as one machine's record. The leak is always given as an area (m²)
 /// and as the flow that this area passes at a stated pressure difference.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd replay press-1.mcap\n  seepd replay --json --model model.json press-1.csv | jq .leak_flow_lpm\n  \
+                        seepd replay --dbc press.dbc --command AxisStatus.ValveCommand candump.log\n  \
                         seepd replay --config seepd.toml --csv cycles.csv --mcap estimates.mcap monday.mcap tuesday.mcap"
 )]
 pub struct ReplayArguments {
-    /// Logs; `-` reads a CSV text from standard input
+    /// Logs: MCAP, CSV or candump; `-` reads a text from standard input
     #[arg(required = true, value_name = "LOG")]
     logs: Vec<PathBuf>,
     /// Configuration with mapping, model and alarm thresholds
@@ -36,9 +37,15 @@ pub struct ReplayArguments {
     /// Model instead of the configuration's or the one that the program brings
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
-    /// Topic of the signals, where the log has several axes
+    /// Topic of the signals, where the log has several axes; interface in a CAN log
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
+    /// DBC file that describes a CAN log's frames
+    #[arg(long, value_name = "FILE")]
+    dbc: Option<PathBuf>,
+    /// Field, column or DBC signal (`Signal` or `Message.Signal`) of the command
+    #[arg(long, value_name = "FIELD")]
+    command: Option<String>,
     /// Print JSON lines: a line a cycle, then the summary
     #[arg(long)]
     json: bool,
@@ -81,6 +88,8 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         }
         config.reference_dp_pa = mpa * 1e6;
     }
+    config.selection = Selection { topic: arguments.topic.clone(), command: arguments.command.clone() };
+    config.dbc = arguments.dbc.clone().or(config.dbc);
     let model = match &arguments.model {
         Some(path) => load_model(path)?,
         None => config.load_model()?,
@@ -138,7 +147,7 @@ fn replay_logs(
         }
     };
     for path in &arguments.logs {
-        let mut source = source::open(path, config, arguments.topic.as_deref())?;
+        let mut source = source::open(path, config)?;
         while let Some(sample) = source.next_sample()? {
             pipeline.push(&sample, &mut take);
         }

@@ -9,7 +9,7 @@ use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use mcap::records::op;
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use super::MCAP_MAGIC;
+use super::kind::MCAP_MAGIC;
 
 /// Longest record that is believed, bytes: chunks are a few MiB; a flipped bit in a length says petabytes.
 const MAX_RECORD_BYTES: u64 = 64 << 20;

@@ -1,21 +1,26 @@
 //! Where samples come from: one file a kind of source.
 
+pub mod candump;
 pub mod csv;
 pub mod decode;
 pub mod fields;
+pub mod guess;
+pub mod kind;
 pub mod mcap;
 pub mod mcap_file;
 pub mod ros;
 pub mod survey;
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
 use seepd_signals::Sample;
 
+use crate::can::dbc::Dbc;
 use crate::config::Config;
 use crate::failure::{Code, Failure};
+use kind::{HEAD_BYTES, LogKind};
 
 /// A stream of samples.
 pub trait Source {
@@ -29,63 +34,52 @@ pub trait Source {
     fn notes(&self) -> Vec<String>;
 }
 
-/// First bytes of an MCAP file.
-pub const MCAP_MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
-
-/// Opens a log by its content, whatever its name; `-` is a CSV text on standard input.
+/// Opens a log by its content, whatever its name; `-` is a text on standard input.
 ///
 /// # Errors
 /// [`Failure`] where there is no such file, it is empty, or it is of no kind that is read.
-pub fn open(path: &Path, config: &Config, topic: Option<&str>) -> Result<Box<dyn Source>, Failure> {
-    let mapping = config.mapping(topic);
+pub fn open(path: &Path, config: &Config) -> Result<Box<dyn Source>, Failure> {
     if path == Path::new("-") {
-        return Ok(Box::new(csv::CsvSource::new(
-            std::io::stdin(),
-            "standard input",
-            mapping,
-            &config.time_column,
-        )?));
+        return open_standard_input(config);
     }
     let reading = |error| Failure::reading(path, &error);
     let mut file = File::open(path).map_err(reading)?;
     if file.metadata().map_err(reading)?.is_dir() {
         return Err(Failure::new(Code::NoInput, format!("{}: is a folder; name a log file", path.display())));
     }
-    let mut head = Vec::with_capacity(512);
-    file.by_ref().take(512).read_to_end(&mut head).map_err(reading)?;
+    let mut head = Vec::with_capacity(HEAD_BYTES);
+    file.by_ref().take(HEAD_BYTES as u64).read_to_end(&mut head).map_err(reading)?;
     let name = path.display().to_string();
     let kind = LogKind::of(&head, &name)?;
     let file = File::open(path).map_err(reading)?;
-    Ok(match kind {
-        LogKind::Mcap => Box::new(mcap::McapSource::new(file, &name, mapping)?),
-        LogKind::Csv => Box::new(csv::CsvSource::new(file, &name, mapping, &config.time_column)?),
-    })
-}
-
-/// The kinds of logs that are read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum LogKind {
-    Mcap,
-    Csv,
-}
-
-impl LogKind {
-    /// Tells a log's kind by its first bytes, whatever its name.
-    pub(crate) fn of(head: &[u8], name: &str) -> Result<Self, Failure> {
-        if head.is_empty() {
-            Err(Failure::data(format!("{name}: the file is empty")))
-        } else if head.starts_with(&MCAP_MAGIC[..head.len().min(8)]) {
-            Ok(LogKind::Mcap)
-        } else if looks_like_text(head) {
-            Ok(LogKind::Csv)
-        } else {
-            Err(Failure::data(format!("{name}: is neither an MCAP log nor a CSV text with a header row")))
-        }
+    match kind {
+        LogKind::Mcap => Ok(Box::new(mcap::McapSource::new(file, &name, config.mapping())?)),
+        LogKind::Csv | LogKind::Candump => open_text(kind, file, &name, config),
     }
 }
 
-fn looks_like_text(head: &[u8]) -> bool {
-    let printable = |byte: &u8| matches!(byte, b'\t' | b'\n' | b'\r' | 0x20..=0x7e | 0x80..);
-    head.iter().all(printable)
-        && std::str::from_utf8(head).map_or_else(|error| error.error_len().is_none(), |_| true)
+fn open_standard_input(config: &Config) -> Result<Box<dyn Source>, Failure> {
+    let name = "standard input";
+    let mut input = BufReader::new(std::io::stdin());
+    let head = input.fill_buf().map_err(|error| Failure::new(Code::Io, format!("{name}: {error}")))?;
+    match LogKind::of(&head[..head.len().min(HEAD_BYTES)], name)? {
+        LogKind::Mcap => {
+            Err(Failure::data(format!("{name}: is an MCAP log; name its file, MCAP is not read from a pipe")))
+        }
+        kind => open_text(kind, input, name, config),
+    }
+}
+
+fn open_text(
+    kind: LogKind,
+    input: impl Read + 'static,
+    name: &str,
+    config: &Config,
+) -> Result<Box<dyn Source>, Failure> {
+    let mapping = config.mapping();
+    if kind == LogKind::Candump {
+        let dbc = config.dbc.as_deref().map(Dbc::read).transpose()?;
+        return Ok(Box::new(candump::CandumpSource::new(input, name, mapping, dbc.as_ref())?));
+    }
+    Ok(Box::new(csv::CsvSource::new(input, name, mapping, &config.time_column)?))
 }

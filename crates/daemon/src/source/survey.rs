@@ -1,16 +1,21 @@
 //! A look at a whole log: topics, rates, gaps, numeric fields, and a guess what they are.
 
 use std::collections::BTreeMap;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{BufReader, Read, Seek, SeekFrom};
 
 use mcap::records::op;
 use seepd_signals::Signal;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::LogKind;
+use super::candump::next_line;
 use super::decode::Decoder;
+use super::guess::{Guess, guess};
+use super::kind::{HEAD_BYTES, LogKind};
 use super::mcap_file::{ChannelRecord, McapFile, SchemaRecord};
+use crate::can::Identifier;
+use crate::can::candump::Line;
+use crate::can::dbc::{CanSignal, Dbc, Reading};
 use crate::failure::{Code, Failure};
 
 /// `seepd.inspect/1`: what a log holds.
@@ -20,7 +25,7 @@ pub struct LogSurvey {
     pub schema: &'static str,
     /// Name of the log.
     pub file: String,
-    /// `MCAP` or `CSV`.
+    /// `MCAP`, `CSV` or `candump`.
     pub kind: &'static str,
     /// Topics in the order of their names.
     pub topics: Vec<TopicSurvey>,
@@ -30,7 +35,7 @@ pub struct LogSurvey {
     pub notes: Vec<String>,
 }
 
-/// A topic; a CSV's rows are one.
+/// A topic; a CSV's rows are one, and so are a CAN log's frames of one interface and identifier.
 #[derive(Default, Serialize)]
 pub struct TopicSurvey {
     /// Name.
@@ -55,6 +60,9 @@ pub struct TopicSurvey {
     pub unreadable: u64,
     /// Numeric fields.
     pub fields: Vec<FieldSurvey>,
+    /// What a mapping calls it.
+    #[serde(skip)]
+    pub(crate) mapping_topic: String,
     #[serde(skip)]
     times_ns: Vec<i64>,
     #[serde(skip)]
@@ -76,19 +84,6 @@ pub struct FieldSurvey {
     pub guess: Option<&'static str>,
 }
 
-/// Where a signal seems to be.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Guess {
-    /// Topic; empty for a CSV.
-    pub topic: String,
-    /// Path of the field, or column.
-    pub field: String,
-    /// Factor to SI.
-    pub scale: f64,
-    #[serde(skip)]
-    score: i32,
-}
-
 /// Messages whose fields are looked into; the times of all are.
 const LOOKED_INTO: u64 = 20_000;
 /// Fields of a topic that are told.
@@ -100,13 +95,17 @@ const TIMES_KEPT: usize = 1 << 20;
 ///
 /// # Errors
 /// [`Failure`] where it cannot be read or is of no kind that is known.
-pub fn survey<R: Read + Seek>(mut input: R, name: &str, time_column: &str) -> Result<LogSurvey, Failure> {
+pub fn survey<R: Read + Seek>(
+    mut input: R,
+    name: &str,
+    time_column: &str,
+    dbc: Option<&Dbc>,
+) -> Result<LogSurvey, Failure> {
     let io = |error: std::io::Error| Failure::new(Code::Io, format!("{name}: {error}"));
     let mut head = Vec::new();
-    input.by_ref().take(512).read_to_end(&mut head).map_err(io)?;
+    input.by_ref().take(HEAD_BYTES as u64).read_to_end(&mut head).map_err(io)?;
     input.seek(SeekFrom::Start(0)).map_err(io)?;
-    let kind = LogKind::of(&head, name)?;
-    let (title, mut topics, notes) = match kind {
+    let (title, mut topics, notes) = match LogKind::of(&head, name)? {
         LogKind::Mcap => {
             let (topics, notes) = survey_mcap(input, name)?;
             ("MCAP", topics, notes)
@@ -115,9 +114,13 @@ pub fn survey<R: Read + Seek>(mut input: R, name: &str, time_column: &str) -> Re
             let (topic, notes) = survey_csv(input, name, time_column)?;
             ("CSV", vec![topic], notes)
         }
+        LogKind::Candump => {
+            let (topics, notes) = survey_candump(input, name, dbc)?;
+            ("candump", topics, notes)
+        }
     };
     topics.sort_by(|a, b| a.topic.cmp(&b.topic));
-    let mapping = guess(&mut topics, kind == LogKind::Mcap);
+    let mapping = guess(&mut topics);
     Ok(LogSurvey { schema: "seepd.inspect/1", file: name.into(), kind: title, topics, mapping, notes })
 }
 
@@ -139,6 +142,7 @@ fn survey_mcap<R: Read + Seek>(input: R, name: &str) -> Result<(Vec<TopicSurvey>
                     let schema = schemas.get(&channel.schema_id);
                     let decoder = Decoder::new(&channel.encoding, schema);
                     topics.entry(channel.id).or_insert_with(|| TopicSurvey {
+                        mapping_topic: channel.topic.clone(),
                         topic: channel.topic,
                         encoding: channel.encoding,
                         schema: schema.map_or(String::new(), |schema| schema.name.clone()),
@@ -186,6 +190,73 @@ fn survey_csv(
     let known = headers.iter().any(|column| column == time_column);
     let note = format!("no column `{time_column}` for the time; name it with --time-column");
     Ok((topic.finished(), if known { vec![] } else { vec![note] }))
+}
+
+/// Interfaces and identifiers that are told apart; a bus has a few hundred.
+const TOPICS_KEPT: usize = 4096;
+
+fn survey_candump(
+    input: impl Read,
+    name: &str,
+    dbc: Option<&Dbc>,
+) -> Result<(Vec<TopicSurvey>, Vec<String>), Failure> {
+    let mut reader = BufReader::with_capacity(1 << 16, input);
+    let mut topics: BTreeMap<(Vec<u8>, Identifier), (TopicSurvey, Vec<CanSignal>)> = BTreeMap::new();
+    let (mut bytes, mut unreadable, mut fractions) = (Vec::new(), 0, false);
+    while next_line(&mut reader, &mut bytes)
+        .map_err(|error| Failure::new(Code::Io, format!("{name}: {error}")))?
+    {
+        let text = bytes.trim_ascii();
+        if text.is_empty() {
+            continue;
+        }
+        let Ok(line) = Line::parse(text) else {
+            unreadable += 1;
+            continue;
+        };
+        fractions |= !line.whole_second;
+        let key = (line.interface.to_vec(), line.frame.identifier);
+        if !topics.contains_key(&key) && topics.len() >= TOPICS_KEPT {
+            unreadable += 1;
+            continue;
+        }
+        let (topic, signals) = topics.entry(key).or_insert_with(|| can_topic(&line, dbc));
+        topic.messages += 1;
+        topic.take_time(line.time_ns);
+        for signal in signals {
+            match signal.read(&line.frame) {
+                Reading::Value(value) => topic.take_field(&signal.name, value),
+                Reading::TooShort => topic.unreadable += 1,
+                Reading::Absent => {}
+            }
+        }
+    }
+    let mut notes = Vec::new();
+    if unreadable > 0 {
+        notes.push(format!("{unreadable} lines left out"));
+    }
+    if !fractions && !topics.is_empty() {
+        notes.push(
+            "the time stamps are whole seconds: too coarse for replay; record with `candump -l`".into(),
+        );
+    }
+    if dbc.is_none() {
+        notes.push("name the DBC file that describes the frames (--dbc FILE) to see their signals".into());
+    }
+    Ok((topics.into_values().map(|(topic, _)| topic.finished()).collect(), notes))
+}
+
+fn can_topic(line: &Line<'_>, dbc: Option<&Dbc>) -> (TopicSurvey, Vec<CanSignal>) {
+    let interface = String::from_utf8_lossy(line.interface).into_owned();
+    let identifier = line.frame.identifier;
+    let topic = TopicSurvey {
+        topic: format!("{interface} {identifier}"),
+        mapping_topic: interface,
+        encoding: "can".into(),
+        schema: dbc.and_then(|dbc| dbc.message_name(identifier)).unwrap_or_default(),
+        ..TopicSurvey::default()
+    };
+    (topic, dbc.map(|dbc| dbc.signals_of(identifier)).unwrap_or_default())
 }
 
 impl TopicSurvey {
@@ -258,89 +329,16 @@ impl TopicSurvey {
         intervals.retain(|interval| *interval > 0);
         intervals.sort_unstable();
         if let Some(median) = intervals.get(intervals.len() / 2).copied() {
-            self.rate_hz = Some(1e9 / median as f64);
+            // Where most messages share a stamp, the stamps are too coarse for the median to be the rate.
+            let coarse = 2 * intervals.len() < unsorted.len();
+            let mean_ns = self.duration_s * 1e9 / unsorted.len() as f64;
+            self.rate_hz = Some(1e9 / if coarse { mean_ns } else { median as f64 });
             let gaps = unsorted.iter().filter(|interval| **interval as f64 > 2.5 * median as f64);
             self.gaps = gaps.clone().count() as u64;
             self.longest_gap_s = gaps.max().map_or(0.0, |gap| *gap as f64 / 1e9);
         }
         self
     }
-}
-
-/// Words in a field's path that speak for a signal, the strongest first.
-const WORDS: [(Signal, &[&str]); 8] = [
-    (Signal::Command, &["command", "cmd", "valve", "output", "pid", "u"]),
-    (Signal::Demand, &["demand", "setpoint", "set_point", "target", "reference", "desired"]),
-    (Signal::Position, &["position", "pos", "stroke", "x"]),
-    (Signal::PSupply, &["p_supply", "supply", "pump", "p_s"]),
-    (Signal::PInlet, &["p_inlet", "inlet", "p_3"]),
-    (Signal::PCap, &["p_cap", "cap", "p_1", "p_a"]),
-    (Signal::PRod, &["p_rod", "rod", "p_2", "p_b"]),
-    (Signal::Load, &["load", "force"]),
-];
-
-/// Guesses which field is which signal, by name and range; marks the fields and gives the mapping.
-fn guess(topics: &mut [TopicSurvey], with_topic: bool) -> BTreeMap<Signal, Guess> {
-    let mut mapping: BTreeMap<Signal, Guess> = BTreeMap::new();
-    for topic in topics.iter() {
-        for field in &topic.fields {
-            let Some((signal, score, scale)) = guess_field(&topic.topic, field) else { continue };
-            if mapping.get(&signal).is_none_or(|other| score > other.score) {
-                let topic = if with_topic { topic.topic.clone() } else { String::new() };
-                mapping.insert(signal, Guess { topic, field: field.path.clone(), scale, score });
-            }
-        }
-    }
-    for topic in topics {
-        for field in &mut topic.fields {
-            let is = |guess: &Guess| guess.field == field.path && (!with_topic || guess.topic == topic.topic);
-            field.guess = mapping.iter().find(|(_, guess)| is(guess)).map(|(signal, _)| signal.name());
-        }
-    }
-    mapping
-}
-
-/// The signal that a field seems to be, how strongly, and the factor to SI.
-fn guess_field(topic: &str, field: &FieldSurvey) -> Option<(Signal, i32, f64)> {
-    if topic.ends_with("/truth") || field.least == field.largest {
-        return None;
-    }
-    let path = field.path.to_lowercase();
-    let words: Vec<&str> = path.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').collect();
-    let mut best: Option<(Signal, i32, f64)> = None;
-    for (signal, known) in WORDS {
-        for (rank, word) in known.iter().enumerate() {
-            let strength = if path == *word {
-                40
-            } else if words.contains(word) {
-                30
-            } else if word.len() > 2 && path.contains(word) {
-                20
-            } else {
-                continue;
-            };
-            let Some(scale) = scale_to_si(signal, field.least.abs().max(field.largest.abs())) else {
-                continue;
-            };
-            let score = strength - rank as i32;
-            if best.is_none_or(|best| score > best.1) {
-                best = Some((signal, score, scale));
-            }
-        }
-    }
-    best
-}
-
-/// The factor to SI that makes a range plausible: percent, millimetres, bar, kilonewtons are told by their size.
-fn scale_to_si(signal: Signal, largest: f64) -> Option<f64> {
-    let candidates: &[(f64, f64, f64)] = match signal {
-        Signal::Command => &[(1e-3, 1.1, 1.0), (1.1, 110.0, 0.01)],
-        Signal::Demand | Signal::Position => &[(1e-3, 10.0, 1.0), (10.0, 1e4, 1e-3)],
-        Signal::PSupply | Signal::PInlet | Signal::PCap | Signal::PRod => &[(1e4, 1e8, 1.0), (0.5, 1e3, 1e5)],
-        Signal::Load => &[(500.0, 1e9, 1.0), (0.1, 500.0, 1e3)],
-        Signal::CycleStart => &[],
-    };
-    candidates.iter().find(|(low, high, _)| (*low..=*high).contains(&largest)).map(|(_, _, scale)| *scale)
 }
 
 impl LogSurvey {

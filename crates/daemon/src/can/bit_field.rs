@@ -1,0 +1,185 @@
+//! Where a number is in a frame's data, and how it becomes a physical value.
+
+use super::MOST_BYTES;
+
+/// How a field's bits are numbered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ByteOrder {
+    /// Intel: the first bit is the lowest, higher bits follow in higher bytes.
+    LittleEndian,
+    /// Motorola: the first bit is the highest, lower bits follow in higher bytes.
+    BigEndian,
+}
+
+/// What the bits stand for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Encoding {
+    /// An integer from 0.
+    Unsigned,
+    /// An integer in two's complement.
+    Signed,
+    /// IEEE 754, 32 bits.
+    Float32,
+    /// IEEE 754, 64 bits.
+    Float64,
+}
+
+/// A number in a frame's data; value = raw · factor + offset.
+///
+/// Bit 8 b + i is bit i of byte b, 0 being a byte's lowest, in both byte orders: as DBC files count.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BitField {
+    start_bit: usize,
+    bits: usize,
+    order: ByteOrder,
+    encoding: Encoding,
+    factor: f64,
+    offset: f64,
+}
+
+impl BitField {
+    /// Checks a field's place and size.
+    ///
+    /// # Errors
+    /// One line: no bits, more than 64, beyond the longest frame, or a float of the wrong size.
+    pub fn new(
+        start_bit: usize,
+        bits: usize,
+        order: ByteOrder,
+        encoding: Encoding,
+        factor: f64,
+        offset: f64,
+    ) -> Result<Self, String> {
+        let size = match encoding {
+            Encoding::Unsigned | Encoding::Signed => 1..=64,
+            Encoding::Float32 => 32..=32,
+            Encoding::Float64 => 64..=64,
+        };
+        if !size.contains(&bits) {
+            return Err(format!("has {bits} bits; {encoding:?} has {} … {}", size.start(), size.end()));
+        }
+        let field = BitField { start_bit, bits, order, encoding, factor, offset };
+        if start_bit >= 8 * MOST_BYTES || field.least_bytes() > MOST_BYTES {
+            return Err(format!("ends beyond byte {MOST_BYTES}, the longest frame's last"));
+        }
+        if !factor.is_finite() || !offset.is_finite() {
+            return Err("has a factor or an offset that is no number".into());
+        }
+        Ok(field)
+    }
+
+    /// The field's first bit along the way in which its bits follow each other.
+    fn first(&self) -> usize {
+        match self.order {
+            ByteOrder::LittleEndian => self.start_bit,
+            ByteOrder::BigEndian => self.start_bit - self.start_bit % 8 + 7 - self.start_bit % 8,
+        }
+    }
+
+    /// Bytes that a frame must have to hold the field.
+    pub fn least_bytes(&self) -> usize {
+        (self.first() + self.bits).div_ceil(8)
+    }
+
+    /// The field's bits as an integer; `None` for a frame that is too short.
+    pub fn raw(&self, data: &[u8]) -> Option<u64> {
+        let first = self.first();
+        let bytes = data.get(first / 8..self.least_bytes())?;
+        // At most nine bytes hold 64 bits.
+        let (skipped, all) = (first % 8, 8 * bytes.len());
+        let wide = match self.order {
+            ByteOrder::LittleEndian => {
+                bytes.iter().rev().fold(0u128, |wide, byte| wide << 8 | u128::from(*byte)) >> skipped
+            }
+            ByteOrder::BigEndian => {
+                bytes.iter().fold(0u128, |wide, byte| wide << 8 | u128::from(*byte))
+                    >> (all - skipped - self.bits)
+            }
+        };
+        Some((wide & ((1u128 << self.bits) - 1)) as u64)
+    }
+
+    /// The physical value; `None` for a frame that is too short.
+    pub fn value(&self, data: &[u8]) -> Option<f64> {
+        let raw = self.raw(data)?;
+        let number = match self.encoding {
+            Encoding::Unsigned => raw as f64,
+            Encoding::Signed => {
+                let unused = 64 - self.bits;
+                ((raw << unused) as i64 >> unused) as f64
+            }
+            Encoding::Float32 => f64::from(f32::from_bits(raw as u32)),
+            Encoding::Float64 => f64::from_bits(raw),
+        };
+        Some(number * self.factor + self.offset)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn field(start_bit: usize, bits: usize, order: ByteOrder, encoding: Encoding) -> BitField {
+        BitField::new(start_bit, bits, order, encoding, 1.0, 0.0).unwrap()
+    }
+
+    /// Bit by bit along the definition, as slow as it is plain.
+    fn raw_by_bits(data: &[u8], start_bit: usize, bits: usize, order: ByteOrder) -> Option<u64> {
+        let mut at = start_bit;
+        let mut raw = 0u64;
+        for index in 0..bits {
+            let bit = u64::from(data.get(at / 8)? >> (at % 8) & 1);
+            match order {
+                ByteOrder::LittleEndian => {
+                    raw |= bit << index;
+                    at += 1;
+                }
+                ByteOrder::BigEndian => {
+                    raw = raw << 1 | bit;
+                    at = if at.is_multiple_of(8) { at + 15 } else { at - 1 };
+                }
+            }
+        }
+        Some(raw)
+    }
+
+    proptest! {
+        #[test]
+        fn property_fields_are_their_bits(
+            data in prop::collection::vec(any::<u8>(), 0..=64),
+            start_bit in 0usize..512,
+            bits in 1usize..=64,
+            little in any::<bool>(),
+        ) {
+            let order = if little { ByteOrder::LittleEndian } else { ByteOrder::BigEndian };
+            if let Ok(field) = BitField::new(start_bit, bits, order, Encoding::Unsigned, 1.0, 0.0) {
+                prop_assert_eq!(field.raw(&data), raw_by_bits(&data, start_bit, bits, order));
+            }
+        }
+    }
+
+    #[test]
+    fn signs_floats_factors_and_offsets() {
+        let data = [0xfe, 0xff, 0x00, 0x00, 0x20, 0x41, 0, 0];
+        assert_eq!(field(0, 16, ByteOrder::LittleEndian, Encoding::Signed).value(&data), Some(-2.0));
+        assert_eq!(field(0, 16, ByteOrder::LittleEndian, Encoding::Unsigned).value(&data), Some(65534.0));
+        assert_eq!(field(7, 16, ByteOrder::BigEndian, Encoding::Signed).value(&data), Some(-257.0));
+        assert_eq!(field(16, 32, ByteOrder::LittleEndian, Encoding::Float32).value(&data), Some(10.0));
+        let scaled = BitField::new(0, 8, ByteOrder::LittleEndian, Encoding::Signed, 0.5, 3.0).unwrap();
+        assert_eq!(scaled.value(&data), Some(2.0));
+    }
+
+    #[test]
+    fn impossible_fields_are_refused_and_short_frames_give_nothing() {
+        let try_new =
+            |start, bits, encoding| BitField::new(start, bits, ByteOrder::LittleEndian, encoding, 1.0, 0.0);
+        assert!(try_new(0, 0, Encoding::Unsigned).is_err());
+        assert!(try_new(0, 65, Encoding::Unsigned).is_err());
+        assert!(try_new(500, 16, Encoding::Unsigned).is_err());
+        assert!(try_new(usize::MAX, 1, Encoding::Unsigned).is_err());
+        assert!(try_new(0, 16, Encoding::Float32).is_err());
+        assert_eq!(field(0, 16, ByteOrder::LittleEndian, Encoding::Signed).value(&[1]), None);
+    }
+}

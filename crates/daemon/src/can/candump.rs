@@ -1,0 +1,161 @@
+//! The log format of can-utils' `candump -l` and `-L`: `(1436509052.249713) can0 044#2A366C2BBA`.
+
+use super::{Content, Frame, Identifier};
+
+/// Flag of an error frame in an identifier of eight digits (`CAN_ERR_FLAG` of Linux).
+const ERROR_FLAG: u32 = 0x2000_0000;
+
+/// A line of a log.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Line<'a> {
+    /// Time, ns.
+    pub time_ns: i64,
+    /// Whether the time stamp has no fraction of a second.
+    pub whole_second: bool,
+    /// Interface.
+    pub interface: &'a [u8],
+    /// Frame.
+    pub frame: Frame,
+}
+
+impl<'a> Line<'a> {
+    /// Reads a line.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn parse(line: &'a [u8]) -> Result<Self, &'static str> {
+        let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        let stamp = words.next().ok_or("it is empty")?;
+        let stamp = stamp
+            .strip_prefix(b"(")
+            .and_then(|stamp| stamp.strip_suffix(b")"))
+            .ok_or("it does not begin with a time in parentheses")?;
+        let (time_ns, whole_second) = time_ns(stamp).ok_or("its time is no number of seconds")?;
+        let interface = words.next().ok_or("it names no interface")?;
+        let frame = frame(words.next().ok_or("it has no frame")?)?;
+        Ok(Line { time_ns, whole_second, interface, frame })
+    }
+}
+
+/// Seconds with a decimal fraction, without a detour over a float: absolute times have 19 digits.
+fn time_ns(stamp: &[u8]) -> Option<(i64, bool)> {
+    let mut parts = stamp.splitn(2, |byte| *byte == b'.');
+    let seconds = number(parts.next()?)?;
+    let fraction = parts.next().unwrap_or(b"0");
+    let digits = fraction.get(..9.min(fraction.len()))?;
+    let scale = 10i64.pow(9 - digits.len() as u32);
+    let nanoseconds = number(digits)? * scale;
+    let time_ns = seconds.checked_mul(1_000_000_000)?.checked_add(nanoseconds)?;
+    Some((time_ns, nanoseconds == 0))
+}
+
+fn number(digits: &[u8]) -> Option<i64> {
+    if digits.is_empty() {
+        return None;
+    }
+    digits.iter().try_fold(0i64, |number, byte| {
+        let digit = byte.is_ascii_digit().then(|| i64::from(byte - b'0'))?;
+        number.checked_mul(10)?.checked_add(digit)
+    })
+}
+
+fn frame(text: &[u8]) -> Result<Frame, &'static str> {
+    let mut parts = text.splitn(2, |byte| *byte == b'#');
+    let id = parts.next().unwrap_or_default();
+    let data = parts.next().ok_or("its frame has no `#`")?;
+    let bits = hexadecimal(id).ok_or("its identifier is not hexadecimal")?;
+    let (identifier, error) = match id.len() {
+        3 if bits <= 0x7ff => (Identifier::Standard(bits as u16), false),
+        8 => (Identifier::Extended(bits & 0x1fff_ffff), bits & ERROR_FLAG != 0),
+        _ => return Err("its identifier has neither 3 nor 8 digits"),
+    };
+    if error {
+        return Ok(Frame::new(identifier, Content::Error));
+    }
+    if data.first() == Some(&b'R') {
+        return Ok(Frame::new(identifier, Content::Remote));
+    }
+    // FD frames have a second `#` and a digit of flags; classic ones may end in `_` and their length code.
+    let (data, most) = match data.strip_prefix(b"#") {
+        Some(fd) => (fd.get(1..).ok_or("its FD frame has no flags")?, 64),
+        None => (data, 8),
+    };
+    let data = data.split(|byte| *byte == b'_').next().unwrap_or_default();
+    if data.len() % 2 != 0 || data.len() / 2 > most {
+        return Err("its data is cut short or too long");
+    }
+    let mut frame = Frame::new(identifier, Content::Data);
+    for pair in data.chunks_exact(2) {
+        let byte = hexadecimal(pair).ok_or("its data is not hexadecimal")?;
+        frame.push(byte as u8);
+    }
+    Ok(frame)
+}
+
+fn hexadecimal(text: &[u8]) -> Option<u32> {
+    if text.is_empty() || text.len() > 8 {
+        return None;
+    }
+    text.iter().try_fold(0u32, |number, byte| Some(number << 4 | char::from(*byte).to_digit(16)?))
+}
+
+/// Whether a text begins like such a log.
+pub fn looks_like_candump(head: &[u8]) -> bool {
+    let first = head.split(|byte| *byte == b'\n').find(|line| !line.trim_ascii().is_empty());
+    first.is_some_and(|line| {
+        line.trim_ascii().starts_with(b"(") && line.contains(&b'#') && !line.contains(&b'[')
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(line: &str) -> Result<Line<'_>, &'static str> {
+        Line::parse(line.as_bytes())
+    }
+
+    #[test]
+    fn classic_extended_and_fd_frames() {
+        let line = parse("(1436509052.249713) vcan0 044#2A366C2BBA").unwrap();
+        assert_eq!((line.time_ns, line.interface), (1_436_509_052_249_713_000, &b"vcan0"[..]));
+        assert_eq!(line.frame.identifier, Identifier::Standard(0x44));
+        assert_eq!(line.frame.data(), [0x2a, 0x36, 0x6c, 0x2b, 0xba]);
+        let line = parse("(0.5) can1 18FEF100#01ff R\r").unwrap();
+        assert_eq!((line.time_ns, line.frame.identifier), (500_000_000, Identifier::Extended(0x18fe_f100)));
+        let fd = format!("(7.000000001) can0 123##1{}", "AB".repeat(64));
+        let line = parse(&fd).unwrap();
+        assert_eq!((line.time_ns, line.frame.data().len()), (7_000_000_001, 64));
+        assert_eq!(parse("(1.0) can0 123#1122334455667788_E").unwrap().frame.data().len(), 8);
+        assert!(parse("(166.000000) can0 123#").unwrap().whole_second);
+    }
+
+    #[test]
+    fn remote_and_error_frames_are_told_apart() {
+        assert_eq!(parse("(1.0) can0 123#R4").unwrap().frame.content, Content::Remote);
+        let error = parse("(1.0) can0 20000004#0000000000000000").unwrap();
+        assert_eq!(error.frame.content, Content::Error);
+    }
+
+    #[test]
+    fn damaged_lines_are_refused() {
+        for line in [
+            "",
+            "1.0 can0 123#00",
+            "(x) can0 123#00",
+            "(1.0)",
+            "(1.0) can0",
+            "(1.0) can0 123",
+            "(1.0) can0 12#00",
+            "(1.0) can0 FFF#00",
+            "(1.0) can0 123#0",
+            "(1.0) can0 123#0G",
+            "(1.0) can0 123#001122334455667788",
+            "(1.0) can0 123##",
+            "(99999999999999999999.0) can0 123#00",
+            "(9999999999.9) can0 123#00",
+        ] {
+            assert!(parse(line).is_err(), "{line}");
+        }
+    }
+}

@@ -1,0 +1,22 @@
+//! A candump log, read with a DBC file of every kind of field.
+#![no_main]
+use std::sync::LazyLock;
+
+use seepd::can::dbc::Dbc;
+use seepd::config::{Config, Selection};
+use seepd::source::{Source, candump::CandumpSource};
+
+static DBC: LazyLock<Dbc> = LazyLock::new(|| {
+    let text = include_bytes!("../../tests/fixtures/can/dbc/multiplex_2.dbc");
+    Dbc::parse(text, "multiplex_2.dbc").expect("a DBC file")
+});
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| {
+    for command in ["Normal.S2", "Extended.S8"] {
+        let selection = Selection { command: Some(command.into()), ..Selection::default() };
+        let mapping = Config { selection, ..Config::default() }.mapping();
+        let Ok(mut source) = CandumpSource::new(data, "log", mapping, Some(&DBC)) else { return };
+        while let Ok(Some(_)) = source.next_sample() {}
+        let _ = source.notes();
+    }
+});
