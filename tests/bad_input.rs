@@ -82,14 +82,18 @@ fn file_of_another_kind_is_unreadable_data() {
 
 #[test]
 fn topic_that_matches_nothing_lists_what_is_there() {
-    let (code, text) = replay_refusal(&fixture("axis_lz4_chunked.mcap"));
+    let (code, text) = replay_refusal(&fixture("mcap/generated/axis_lz4_chunked.mcap"));
     assert_eq!(code, 65);
     assert!(
         text.contains("the log holds /axis/sample (json, 2000 messages), /axis/status (json, 20 messages)"),
         "{text}"
     );
-    let (code, text) =
-        refusal(["replay", "--topic", "/press/9", fixture("axis_unchunked.mcap").to_str().unwrap()]);
+    let (code, text) = refusal([
+        "replay",
+        "--topic",
+        "/press/9",
+        fixture("mcap/generated/axis_unchunked.mcap").to_str().unwrap(),
+    ]);
     assert_eq!(
         (code, text.contains("`command` on topic /press/9; the log holds /axis/sample")),
         (65, true),
@@ -110,7 +114,7 @@ fn csv_without_a_command_lists_its_columns() {
 
 #[test]
 fn endless_chunk_length_is_refused_without_memory() {
-    let (code, text) = replay_refusal(&fixture("chunk_not_closed.mcap"));
+    let (code, text) = replay_refusal(&fixture("mcap/rust_crate/chunk_not_closed.mcap"));
     assert_eq!((code, text.contains("the log holds no topics at all")), (65, true), "{text}");
 }
 

@@ -352,7 +352,8 @@ fn inspect_tells_units_by_their_size_gaps_and_never_guesses_the_truth() {
 
 #[test]
 fn inspect_lists_logs_that_replay_does_not_read() {
-    let text = stderr(&seepd(["inspect", fixture("axis_zstd_truncated.mcap").to_str().unwrap()]));
+    let text =
+        stderr(&seepd(["inspect", fixture("mcap/generated/axis_zstd_truncated.mcap").to_str().unwrap()]));
     assert!(text.contains("/axis/sample (json, axis.Sample): 1205 messages at 1000.0 Hz"), "{text}");
     assert!(text.contains("ends at byte 42868"), "{text}");
 }

@@ -1,7 +1,12 @@
 //! Logs with protobuf and ROS 2 messages: the same samples as from JSON, and one line for what does not fit.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-use std::io::Cursor;
+#[expect(dead_code, reason = "other tests use the rest")]
+mod support;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{Cursor, Write};
 
 use mcap::records::MessageHeader;
 use prost_reflect::prost::Message;
@@ -11,10 +16,12 @@ use prost_reflect::prost_types::{
 };
 use prost_reflect::{DescriptorPool, DynamicMessage, Value};
 use re_cdr::{CdrWriter, LittleEndian};
-use seepd::config::{Config, SignalMapping};
+use seepd::config::{Config, Selection, SignalMapping};
 use seepd::source::Source;
 use seepd::source::mcap::McapSource;
+use seepd::source::survey::{FieldSurvey, survey};
 use seepd_signals::Signal;
+use support::{fixture, replay, simulate};
 
 /// Mapping of the command (in percent) and the cap's pressure (second of three, in bar) with the message's own time.
 fn mapping() -> Vec<(Signal, SignalMapping)> {
@@ -246,4 +253,145 @@ fn default_mapping_does_not_trip_over_other_topics() {
     let mut source = McapSource::new(Cursor::new(bytes), "log", Config::default().mapping()).unwrap();
     let text = source.next_sample().unwrap_err().to_string();
     assert!(text.contains("the log holds /plc (cdr, 1 messages)"), "{text}");
+}
+
+/// What the Python packages `mcap` and `mcap-ros2-support` read from the logs of others: messages by topic, and how often
+/// each numeric field is there with its range. Null: they do not read the topic's messages.
+fn python_read() -> BTreeMap<String, BTreeMap<String, PythonTopic>> {
+    serde_json::from_str(&fs::read_to_string(fixture("mcap/expected.json")).unwrap()).unwrap()
+}
+
+#[derive(serde::Deserialize)]
+struct PythonTopic {
+    encoding: String,
+    messages: u64,
+    fields: Option<BTreeMap<String, (u64, f64, f64)>>,
+}
+
+#[test]
+fn reference_python_reads_the_same_from_the_logs_of_others() {
+    let mut fields_compared = 0;
+    for (name, topics) in python_read() {
+        let path = fixture("mcap").join(&name);
+        let found = survey(fs::File::open(&path).unwrap(), &name, "t_s", None).unwrap();
+        let names: Vec<&String> = found.topics.iter().map(|topic| &topic.topic).collect();
+        assert_eq!(names, topics.keys().collect::<Vec<_>>(), "{name}");
+        for topic in &found.topics {
+            let expected = &topics[&topic.topic];
+            assert_eq!((&topic.encoding, topic.messages), (&expected.encoding, expected.messages), "{name}");
+            assert_eq!(topic.unreadable, 0, "{name} {}", topic.topic);
+            let readable = ["json", "cdr"].contains(&&*topic.encoding) && expected.fields.is_some();
+            assert_eq!(topic.problem.is_none(), readable, "{name} {}", topic.topic);
+            let Some(fields) = &expected.fields else { continue };
+            let of = |field: &FieldSurvey| (field.path.clone(), (field.count, field.least, field.largest));
+            // ROS 2 fills empty structures with a byte, which the Python package reads and hides.
+            let filler = |field: &&FieldSurvey| !field.path.ends_with(".structure_needs_at_least_one_member");
+            let found: BTreeMap<_, _> = topic.fields.iter().filter(filler).map(of).collect();
+            assert_eq!(&found, fields, "{name} {}", topic.topic);
+            fields_compared += fields.len();
+        }
+    }
+    assert!(fields_compared > 150, "{fields_compared}");
+}
+
+#[test]
+fn every_log_of_others_is_read_or_refused_with_what_it_holds() {
+    for (name, topics) in python_read() {
+        let path = fixture("mcap").join(&name);
+        let mut config = Config::default();
+        // The synthetic logs have a command; nothing else here is an axis.
+        config.selection =
+            Selection { topic: Some("/axis/sample".into()), command: Some("valve_command".into()) };
+        let mut source = seepd::source::open(&path, &config).unwrap();
+        let mut samples = 0;
+        let end = loop {
+            match source.next_sample() {
+                Ok(Some(_)) => samples += 1,
+                Ok(None) => break Ok(()),
+                Err(failure) => break Err(failure),
+            }
+        };
+        match end {
+            Ok(()) => assert_eq!(samples, topics["/axis/sample"].messages, "{name}"),
+            Err(failure) => {
+                assert!(!topics.contains_key("/axis/sample"), "{failure}");
+                let message = failure.to_string();
+                assert_eq!((failure.code as u8, message.lines().count()), (65, 1), "{message}");
+                for (topic, expected) in &topics {
+                    let told = format!("{topic} ({}, {} messages)", expected.encoding, expected.messages);
+                    assert!(message.contains(&told), "{name}: {message}");
+                }
+                let nothing = topics.is_empty() && !name.ends_with("with_padding.mcap");
+                assert_eq!(message.contains("no topics at all"), nothing, "{message}");
+                let orphans = message.contains("12 messages of topics that it does not name");
+                assert_eq!(orphans, name.ends_with("zstd_chunk_with_padding.mcap"), "{message}");
+            }
+        }
+    }
+}
+
+#[test]
+fn an_encoding_that_is_not_read_is_named() {
+    for (file, topic, told) in [
+        ("rosbag2/wrong_rmw_test_0.mcap", "/test_topic", "has the message encoding `wrong_format`"),
+        ("rust_crate/compressed.mcap", "/tf", "has the message encoding `ros1`"),
+        ("conformance/TenMessages.mcap", "example", "has the message encoding `a`"),
+    ] {
+        let mut config = Config::default();
+        config.selection.topic = Some(topic.into());
+        let mut source = seepd::source::open(&fixture("mcap").join(file), &config).unwrap();
+        let failure = source.next_sample().unwrap_err();
+        assert!(failure.message.contains(told), "{failure}");
+    }
+}
+
+/// Python with this package, if it is here.
+fn python(package: &str) -> Option<std::process::Command> {
+    let check = std::process::Command::new("python3").args(["-c", &format!("import {package}")]).output();
+    let here = check.is_ok_and(|output| output.status.success());
+    if !here {
+        let _ = writeln!(std::io::stderr(), "skipped: no Python with the package {package}");
+    }
+    here.then(|| std::process::Command::new("python3"))
+}
+
+#[test]
+fn the_python_package_reads_our_logs() {
+    let Some(mut python) = python("mcap") else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("ours.mcap");
+    let estimates = folder.path().join("estimates.mcap");
+    simulate(&log, &["--cycles", "3", "--leak-area", "1e-6"]);
+    let lines = replay(&log, &["--mcap", estimates.to_str().unwrap()]);
+    let script = "
+import json, sys
+from mcap.reader import make_reader
+found = {}
+for path in sys.argv[1:]:
+    with open(path, 'rb') as file:
+        reader = make_reader(file, validate_crcs=True)
+        for schema, channel, message in reader.iter_messages():
+            value = json.loads(message.data)
+            topic = found.setdefault(channel.topic, {'schema': schema.name, 'encoding': schema.encoding, 'times': [], 'values': []})
+            topic['times'].append(message.log_time)
+            topic['values'].append(value)
+        found[path] = [record.name for record in reader.iter_metadata()] + [record.name for record in reader.iter_attachments()]
+print(json.dumps(found))";
+    let output = python.args(["-c", script]).args([&log, &estimates]).output().unwrap();
+    let found: serde_json::Value = serde_json::from_str(&support::stdout(&output)).unwrap();
+    let signals = &found["/axis/signals"];
+    assert_eq!(signals["schema"], "seepd.Signals");
+    let commands: Vec<f64> =
+        signals["values"].as_array().unwrap().iter().map(|v| v["command"].as_f64().unwrap()).collect();
+    let mut source = seepd::source::open(&log, &Config::default()).unwrap();
+    let mut ours = Vec::new();
+    while let Some(sample) = source.next_sample().unwrap() {
+        assert_eq!(signals["times"][ours.len()].as_i64(), Some(sample.time_ns));
+        ours.push(sample.get(Signal::Command).unwrap());
+    }
+    assert_eq!((commands.len(), commands == ours), (30_000, true));
+    assert_eq!(found["/axis/truth"]["values"][0]["leak_area"], 1e-6);
+    assert_eq!(found[log.to_str().unwrap()].as_array().unwrap().len(), 2, "metadata and plant");
+    let cycles = found["/axis/leakage"]["values"].as_array().unwrap();
+    assert_eq!(cycles.as_slice(), &lines[..3]);
 }

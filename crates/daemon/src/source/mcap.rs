@@ -42,6 +42,8 @@ pub struct McapSource<R> {
     unreadable: u64,
     first_unreadable: Option<String>,
     given: u64,
+    /// Messages of channels that are announced nowhere.
+    unannounced: u64,
     summary_asked: bool,
 }
 
@@ -65,6 +67,7 @@ impl<R: Read + Seek> McapSource<R> {
             unreadable: 0,
             first_unreadable: None,
             given: 0,
+            unannounced: 0,
             summary_asked: false,
         })
     }
@@ -104,11 +107,14 @@ impl<R: Read + Seek> McapSource<R> {
 
     /// The error for a log in which nothing matched.
     fn nothing_matched(&self) -> Failure {
-        let listed: Vec<String> = self
+        let mut listed: Vec<String> = self
             .channels
             .values()
             .map(|channel| format!("{} ({}, {} messages)", channel.topic, channel.encoding, channel.messages))
             .collect();
+        if self.unannounced > 0 {
+            listed.push(format!("{} messages of topics that it does not name", self.unannounced));
+        }
         let listed = if listed.is_empty() { "no topics at all".to_owned() } else { listed.join(", ") };
         let command =
             self.mapping.iter().find(|(signal, _)| *signal == Signal::Command).map(|(_, mapping)| mapping);
@@ -141,7 +147,10 @@ impl<R: Read + Seek> McapSource<R> {
     /// The sample that the message in `self.message` completes, if it holds a command.
     fn take_message(&mut self) -> Option<Sample> {
         let (header, data) = self.message.split_at_checked(MESSAGE_HEADER_BYTES)?;
-        let channel = self.channels.get_mut(&channel_id(header))?;
+        let Some(channel) = self.channels.get_mut(&channel_id(header)) else {
+            self.unannounced += 1;
+            return None;
+        };
         channel.messages += 1;
         let (decoder, fields) = channel.wanted.as_ref()?;
         let log_time_ns = log_time_ns(header);
@@ -204,6 +213,12 @@ impl<R: Read + Seek> Source for McapSource<R> {
     fn notes(&self) -> Vec<String> {
         let mut notes: Vec<String> =
             self.file.damage.notes().into_iter().map(|note| format!("{}: {note}", self.name)).collect();
+        if self.unannounced > 0 {
+            notes.push(format!(
+                "{}: {} messages of topics that it does not name",
+                self.name, self.unannounced
+            ));
+        }
         if self.unreadable > 0 {
             let first = self.first_unreadable.as_deref().unwrap_or_default();
             notes.push(format!(
