@@ -6,7 +6,7 @@ mod support;
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::{Cursor, Write};
+use std::io::Cursor;
 
 use mcap::records::MessageHeader;
 use prost_reflect::prost::Message;
@@ -21,7 +21,7 @@ use seepd::source::Source;
 use seepd::source::mcap::McapSource;
 use seepd::source::survey::{FieldSurvey, survey};
 use seepd_signals::Signal;
-use support::{fixture, replay, simulate};
+use support::{fixture, python, replay, simulate};
 
 /// Mapping of the command (in percent) and the cap's pressure (second of three, in bar) with the message's own time.
 fn mapping() -> Vec<(Signal, SignalMapping)> {
@@ -343,16 +343,6 @@ fn an_encoding_that_is_not_read_is_named() {
         let failure = source.next_sample().unwrap_err();
         assert!(failure.message.contains(told), "{failure}");
     }
-}
-
-/// Python with this package, if it is here.
-fn python(package: &str) -> Option<std::process::Command> {
-    let check = std::process::Command::new("python3").args(["-c", &format!("import {package}")]).output();
-    let here = check.is_ok_and(|output| output.status.success());
-    if !here {
-        let _ = writeln!(std::io::stderr(), "skipped: no Python with the package {package}");
-    }
-    here.then(|| std::process::Command::new("python3"))
 }
 
 #[test]

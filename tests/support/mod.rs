@@ -1,5 +1,6 @@
 //! What the whole-program tests share: running the program and reading its JSON lines.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -63,4 +64,14 @@ pub(crate) fn summary(lines: &[Value]) -> &Value {
     let last = lines.last().expect("a summary");
     assert_eq!(last["schema"], "seepd.summary/1");
     last
+}
+
+/// Python with this package, if it is here.
+pub(crate) fn python(package: &str) -> Option<Command> {
+    let check = Command::new("python3").args(["-c", &format!("import {package}")]).output();
+    let here = check.is_ok_and(|output| output.status.success());
+    if !here {
+        let _ = writeln!(std::io::stderr(), "skipped: no Python with the package {package}");
+    }
+    here.then(|| Command::new("python3"))
 }

@@ -45,9 +45,34 @@ pub(crate) fn parse(json: &[u8]) -> Result<ModelFile, ModelError> {
     }
     let mut deserializer = serde_json::Deserializer::from_slice(json);
     let file: ModelFile = serde_path_to_error::deserialize(&mut deserializer)
-        .map_err(|error| ModelError { path: error.path().to_string(), message: error.inner().to_string() })?;
+        .map_err(|error| ModelError { path: error.path().to_string(), message: told(json, error.inner()) })?;
     deserializer.end().map_err(|error| ModelError { path: String::new(), message: error.to_string() })?;
     Ok(file)
+}
+
+/// What is wrong with the text; a number that is none is named, as other tools write it.
+fn told(json: &[u8], error: &serde_json::Error) -> String {
+    let line_start = match error.line() {
+        0 | 1 => 0,
+        line => json
+            .iter()
+            .enumerate()
+            .filter(|(_, byte)| **byte == b'\n')
+            .nth(line - 2)
+            .map_or(0, |(at, _)| at + 1),
+    };
+    let at = (line_start + error.column().saturating_sub(1)).min(json.len());
+    let near = &json[at.saturating_sub(1)..(at + 9).min(json.len())];
+    let is_near = |word: &[u8]| near.windows(word.len()).any(|window| window == word);
+    if error.is_syntax() && (is_near(b"NaN") || is_near(b"Infinity")) {
+        let what = if is_near(b"NaN") { "NaN" } else { "Infinity" };
+        return format!(
+            "{what} at line {} column {}; every number of a model must be finite",
+            error.line(),
+            error.column()
+        );
+    }
+    error.to_string()
 }
 
 /// Checks everything but the golden pairs.

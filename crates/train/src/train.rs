@@ -109,6 +109,8 @@ pub struct Trained {
     pub report: Report,
     /// What the search found.
     pub found: Found,
+    /// What the model learned from: its features by column, and the leak areas, m².
+    pub learned: Table,
 }
 
 /// Random streams that share no machine.
@@ -219,7 +221,9 @@ pub fn train(
     let mut json = serde_json::to_vec(&file)?;
     json.push(b'\n');
     let model = Model::from_json(&json).map_err(TrainError::Model)?;
-    Ok(Trained { json, model, report, found })
+    let learned =
+        Table { target: learned.iter().map(|case| case.leak_area_m2).collect(), columns: table.columns };
+    Ok(Trained { json, model, report, found, learned })
 }
 
 /// Hash by which a model names the plant file that it was trained on: SHA-256 of the file with every value

@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use seepd_train::report::{Accuracy, Report};
@@ -12,6 +12,7 @@ use seepd_train::{Settings, Spread, TrainError, Trained};
 use super::simulate::{progress_bar, read_plant};
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
+use crate::sink::terminal::print;
 
 /// Trains a model on simulated machines and measures it on others.
 ///
@@ -26,6 +27,9 @@ pub struct TrainArguments {
     /// Model to write
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
+    /// Write the observations that were learned from as CSV (features, leak_area_m2), for trees of other tools
+    #[arg(long, value_name = "FILE")]
+    data: Option<PathBuf>,
     /// Plant file instead of the nominal press
     #[arg(long, value_name = "FILE")]
     plant: Option<PathBuf>,
@@ -95,9 +99,25 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
     .map_err(|error| failure(&error))?;
     bar.finish_and_clear();
     fs::write(&arguments.out, &trained.json).map_err(|error| Failure::writing(&arguments.out, error))?;
-    print_report(&mut io::stdout().lock(), arguments, &trained)
+    if let Some(path) = &arguments.data {
+        write_data(path, &trained).map_err(|error| Failure::writing(path, error))?;
+    }
+    let mut report = Vec::new();
+    print_report(&mut report, arguments, &trained)
         .map_err(|error| Failure::writing("standard output".as_ref(), error))?;
+    print(&report)?;
     Ok(Outcome::Good)
+}
+
+fn write_data(path: &Path, trained: &Trained) -> Result<(), csv::Error> {
+    let mut writer = csv::Writer::from_path(path)?;
+    let names = trained.model.feature_names().iter().map(String::as_str);
+    writer.write_record(names.chain(["leak_area_m2"]))?;
+    for (index, leak_area_m2) in trained.learned.target.iter().enumerate() {
+        let features = trained.learned.columns.iter().map(|column| column[index]);
+        writer.write_record(features.chain([*leak_area_m2]).map(|value| value.to_string()))?;
+    }
+    writer.flush().map_err(csv::Error::from)
 }
 
 fn name_of(stage: Stage) -> &'static str {
