@@ -1,5 +1,6 @@
 //! The commands as a user runs them.
 
+#[expect(dead_code, reason = "other tests use the rest")]
 mod support;
 
 use std::fs;

@@ -298,10 +298,10 @@ fn reference_python_reads_the_same_from_the_logs_of_others() {
 fn every_log_of_others_is_read_or_refused_with_what_it_holds() {
     for (name, topics) in python_read() {
         let path = fixture("mcap").join(&name);
-        let mut config = Config::default();
         // The synthetic logs have a command; nothing else here is an axis.
-        config.selection =
+        let selection =
             Selection { topic: Some("/axis/sample".into()), command: Some("valve_command".into()) };
+        let config = Config { selection, ..Config::default() };
         let mut source = seepd::source::open(&path, &config).unwrap();
         let mut samples = 0;
         let end = loop {

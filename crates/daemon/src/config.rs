@@ -22,6 +22,8 @@ pub struct Config {
     pub model: Option<PathBuf>,
     /// Pressure difference at which leaks are given as flows, Pa.
     pub reference_dp_pa: f64,
+    /// Hours that the machine runs in a year, for the energy that a leak costs.
+    pub operating_hours_per_year: f64,
     /// Name of a CSV file's time column, in seconds.
     pub time_column: String,
     /// DBC file that describes a CAN log's frames, relative to this file.
@@ -68,6 +70,7 @@ impl Default for Config {
             axis: "axis".into(),
             model: None,
             reference_dp_pa: 7e6,
+            operating_hours_per_year: 8760.0,
             time_column: "t_s".into(),
             dbc: None,
             signals: BTreeMap::new(),
@@ -121,6 +124,12 @@ impl Config {
             return Err(format!(
                 "reference_dp_pa is {}; it must lie in 1e5 … 1e8 Pa",
                 config.reference_dp_pa
+            ));
+        }
+        if !(0.0..=8784.0).contains(&config.operating_hours_per_year) {
+            return Err(format!(
+                "operating_hours_per_year is {}; it must lie in 0 … 8784",
+                config.operating_hours_per_year
             ));
         }
         for (signal, mapping) in &config.signals {

@@ -10,9 +10,9 @@ pub mod commands;
 pub mod config;
 pub mod event;
 pub mod failure;
-#[cfg(feature = "simulate")]
 pub mod html;
 pub mod pipeline;
+mod progress;
 pub mod sink;
 pub mod source;
 

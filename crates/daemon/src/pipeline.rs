@@ -76,6 +76,11 @@ impl<'m> Pipeline<'m> {
         }
     }
 
+    /// The configuration.
+    pub fn config(&self) -> &PipelineConfig<'m> {
+        &self.config
+    }
+
     /// Takes a sample; `sink` hears of each cycle that it ends and each flag that it changes.
     #[inline]
     pub fn push(&mut self, sample: &Sample, sink: &mut impl FnMut(&Event<'_>)) {

@@ -1,17 +1,21 @@
 //! `seepd replay`: logs in, leak by cycle out.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use indicatif::ProgressBar;
 
 use crate::cli::Outcome;
 use crate::config::{Config, Selection, load_model};
 use crate::event::{Event, Flag, Summary};
 use crate::failure::{Code, Failure};
+use crate::html::report::ReportPage;
 use crate::pipeline::{Pipeline, PipelineConfig};
+use crate::progress::byte_bar;
 use crate::sink::csv::CsvSink;
+use crate::sink::html::HtmlSink;
 use crate::sink::json;
 use crate::sink::mcap::EventSink;
 use crate::sink::terminal::{self, Colour};
@@ -25,7 +29,8 @@ use crate::source;
 #[command(
     after_help = "Examples:\n  seepd replay press-1.mcap\n  seepd replay --json --model model.json press-1.csv | jq .leak_flow_lpm\n  \
                         seepd replay --dbc press.dbc --command AxisStatus.ValveCommand candump.log\n  \
-                        seepd replay --config seepd.toml --csv cycles.csv --mcap estimates.mcap monday.mcap tuesday.mcap"
+                        seepd replay --config seepd.toml --csv cycles.csv --mcap estimates.mcap monday.mcap tuesday.mcap\n  \
+                        seepd replay --html press-1.html monday.mcap tuesday.mcap"
 )]
 pub struct ReplayArguments {
     /// Logs: MCAP, CSV or candump; `-` reads a text from standard input
@@ -58,6 +63,9 @@ pub struct ReplayArguments {
     /// Write the cycles and changes of flag as MCAP (/axis/leakage, /axis/flags)
     #[arg(long, value_name = "FILE")]
     mcap: Option<PathBuf>,
+    /// Write a report as one HTML page
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
     /// Pressure difference at which leaks are given as flows, MPa
     #[arg(long, value_name = "MPA")]
     reference_mpa: Option<f64>,
@@ -71,6 +79,7 @@ pub struct ReplayArguments {
 struct Files {
     csv: Option<CsvSink<BufWriter<File>>>,
     mcap: Option<EventSink<BufWriter<File>>>,
+    html: Option<HtmlSink>,
 }
 
 /// Runs the command.
@@ -111,9 +120,25 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     if let Some(path) = &arguments.mcap {
         files.mcap = Some(EventSink::new(create(path)?).map_err(|error| Failure::writing(path, error))?);
     }
+    if arguments.html.is_some() {
+        let healthy_below_lpm = config.alarm.clear_share * config.alarm.watch_lpm;
+        files.html =
+            Some(HtmlSink::new(model.file().cycle.period_s, model.file().sample_rate_hz, healthy_below_lpm));
+    }
     let mut out = Printer::new(arguments, config.reference_dp_pa);
     let notes = replay_logs(arguments, &config, &mut pipeline, &mut files, &mut out)?;
     let summary = pipeline.summary();
+    if let (Some(path), Some(record)) = (&arguments.html, &files.html) {
+        let page = ReportPage {
+            record,
+            summary: &summary,
+            features: model.feature_names(),
+            alarm: &config.alarm,
+            area_m2_per_lpm: 1.0 / pipeline.config().flow_lpm(1.0),
+            operating_hours_per_year: config.operating_hours_per_year,
+        };
+        fs::write(path, page.render()).map_err(|error| Failure::writing(path, error))?;
+    }
     files.finish(arguments)?;
     for note in notes {
         let _ = writeln!(io::stderr(), "seepd: {note}");
@@ -141,20 +166,82 @@ fn replay_logs(
 ) -> Result<Vec<String>, Failure> {
     let mut notes = Vec::new();
     let mut failure = None;
-    let mut take = |event: &Event<'_>| {
+    let mut clock = Clock::default();
+    let bar = out.progress_bar(&arguments.logs);
+    for path in &arguments.logs {
+        let mut source = source::open_with(path, config, &bar)?;
+        let name = path.display().to_string();
+        if let Some(html) = &mut files.html {
+            html.begin_log(&name);
+        }
+        clock.begin(path);
+        while let Some(mut sample) = source.next_sample()? {
+            sample.time_ns = clock.in_one_record(sample.time_ns);
+            if let Some(html) = &mut files.html {
+                html.take_sample(&sample);
+            }
+            pipeline.push(&sample, &mut |event| {
+                if failure.is_none() {
+                    failure = files.write(arguments, event).and_then(|()| out.event(event)).err();
+                }
+            });
+        }
+        let mut of_log = source.notes();
+        of_log.extend(clock.note(&name));
+        if let Some(html) = &mut files.html {
+            html.end_log(&of_log);
+        }
+        notes.extend(of_log);
+    }
+    pipeline.finish(&mut |event| {
         if failure.is_none() {
             failure = files.write(arguments, event).and_then(|()| out.event(event)).err();
         }
-    };
-    for path in &arguments.logs {
-        let mut source = source::open(path, config)?;
-        while let Some(sample) = source.next_sample()? {
-            pipeline.push(&sample, &mut take);
-        }
-        notes.extend(source.notes());
-    }
-    pipeline.finish(&mut take);
+    });
+    bar.finish_and_clear();
     failure.map_or(Ok(notes), Err)
+}
+
+/// Puts logs one after the other whose clocks begin anew, as those of controllers do that know no date.
+#[derive(Default)]
+struct Clock {
+    read: Vec<PathBuf>,
+    newest_ns: Option<i64>,
+    /// What is added to the log's times; unknown before its first sample.
+    shift_ns: Option<i64>,
+}
+
+/// A clock that began less than this ago, ns, knows no date.
+const UNDATED_NS: i64 = 10 * 86_400_000_000_000;
+/// Pause between such a log and the one before it, ns.
+const PAUSE_NS: i64 = 1_000_000_000;
+
+impl Clock {
+    fn begin(&mut self, path: &Path) {
+        // The same file again is the same cycles again, and to be found out as such.
+        self.shift_ns = self.read.iter().any(|other| other == path).then_some(0);
+        self.read.push(path.to_owned());
+    }
+
+    fn in_one_record(&mut self, time_ns: i64) -> i64 {
+        let newest_ns = self.newest_ns;
+        let shift_ns = *self.shift_ns.get_or_insert_with(|| match newest_ns {
+            Some(newest) if time_ns <= newest && time_ns.abs() < UNDATED_NS => {
+                newest.saturating_add(PAUSE_NS).saturating_sub(time_ns)
+            }
+            _ => 0,
+        });
+        let time_ns = time_ns.saturating_add(shift_ns);
+        self.newest_ns = Some(self.newest_ns.map_or(time_ns, |newest| newest.max(time_ns)));
+        time_ns
+    }
+
+    fn note(&self, name: &str) -> Option<String> {
+        let shift_s = self.shift_ns.filter(|shift| *shift != 0)? as f64 / 1e9;
+        Some(format!(
+            "{name}: its clock begins anew; taken as following the log before it, {shift_s:.3} s later"
+        ))
+    }
 }
 
 impl Files {
@@ -164,6 +251,9 @@ impl Files {
         }
         if let (Some(sink), Some(path)) = (&mut self.mcap, &arguments.mcap) {
             sink.write_event(event).map_err(|error| Failure::writing(path, error))?;
+        }
+        if let Some(sink) = &mut self.html {
+            sink.take_event(event);
         }
         Ok(())
     }
@@ -207,6 +297,17 @@ impl Printer {
         let colour = Colour::detect(io::stdout().is_terminal());
         let out = BufWriter::new(io::stdout().lock());
         Printer { out, format, colour, started: false, listened_to: true, reference_dp_pa }
+    }
+
+    /// A bar over the logs' bytes, where lines on a terminal do not show the progress themselves.
+    fn progress_bar(&self, logs: &[PathBuf]) -> ProgressBar {
+        if self.format == Format::Lines && io::stdout().is_terminal() {
+            return ProgressBar::hidden();
+        }
+        byte_bar(
+            logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum(),
+            "replaying",
+        )
     }
 
     fn event(&mut self, event: &Event<'_>) -> Result<(), Failure> {

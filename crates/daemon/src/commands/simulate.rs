@@ -2,11 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::{BufWriter, IsTerminal, Write};
+use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use mcap::McapError;
 use seepd_sim::cycle::Turn;
 use seepd_sim::noise::Noise;
@@ -15,6 +14,7 @@ use serde::Serialize;
 
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
+use crate::progress::{progress_bar, warn};
 use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 
 /// Writes the log (MCAP) of a simulated machine: signals on /axis/signals, the truth on /axis/truth.
@@ -328,21 +328,4 @@ fn write_provenance(
     ]);
     sink.write_metadata("seepd.simulation", facts)?;
     sink.attach("plant.toml", "application/toml", plant.as_bytes())
-}
-
-/// A progress bar on a terminal, and nothing elsewhere.
-pub(crate) fn progress_bar(length: u64, what: &'static str) -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
-        return ProgressBar::hidden();
-    }
-    let style = ProgressStyle::with_template("{msg:>12} [{bar:40}] {pos}/{len} {eta}");
-    let bar = ProgressBar::new(length).with_message(what);
-    match style {
-        Ok(style) => bar.with_style(style.progress_chars("=> ")),
-        Err(_) => bar,
-    }
-}
-
-pub(crate) fn warn(message: &str) {
-    let _ = writeln!(std::io::stderr(), "seepd: {message}");
 }

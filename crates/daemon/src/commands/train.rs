@@ -9,9 +9,10 @@ use seepd_train::report::{Accuracy, Report};
 use seepd_train::train::Stage;
 use seepd_train::{Settings, Spread, TrainError, Trained};
 
-use super::simulate::{progress_bar, read_plant};
+use super::simulate::read_plant;
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
+use crate::progress::progress_bar;
 use crate::sink::terminal::print;
 
 /// Trains a model on simulated machines and measures it on others.

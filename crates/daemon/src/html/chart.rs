@@ -4,14 +4,42 @@ use std::fmt::Write;
 
 use maud::{Markup, html};
 
-/// Width and height of a chart in its own units.
-const WIDTH: f64 = 920.0;
-const HEIGHT: f64 = 300.0;
 /// Room for the axes' labels.
 const LEFT: f64 = 62.0;
 const RIGHT: f64 = 14.0;
+/// Room on the right for a second scale.
+const SECOND: f64 = 76.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 42.0;
+
+/// Width and height of a chart in its own units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Size {
+    /// As wide as the page.
+    Wide,
+    /// Half as wide.
+    Half,
+    /// Three beside each other, without names at the axes.
+    Small,
+}
+
+impl Size {
+    fn width(self) -> f64 {
+        match self {
+            Size::Wide => 920.0,
+            Size::Half => 460.0,
+            Size::Small => 300.0,
+        }
+    }
+
+    fn height(self) -> f64 {
+        match self {
+            Size::Wide => 300.0,
+            Size::Half => 270.0,
+            Size::Small => 130.0,
+        }
+    }
+}
 
 /// How a value becomes a place on an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -88,10 +116,15 @@ fn logarithmic_ticks(from: f64, to: f64) -> Vec<f64> {
         .collect()
 }
 
-/// A tick's number without a tail of zeros or rounding.
-fn number(value: f64) -> String {
+/// A tick's number without a tail of zeros or rounding; very small and very large ones with their power of ten.
+pub(crate) fn number(value: f64) -> String {
     if value == 0.0 {
         return "0".into();
+    }
+    if !(1e-4..1e6).contains(&value.abs()) {
+        let text = format!("{value:.2e}");
+        let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));
+        return format!("{}e{power}", digits.trim_end_matches('0').trim_end_matches('.'));
     }
     let digits = (3 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
     let text = format!("{value:.digits$}");
@@ -124,6 +157,20 @@ pub enum Layer {
         /// CSS colour.
         colour: &'static str,
     },
+    /// Points.
+    Points {
+        /// CSS classes.
+        class: &'static str,
+        /// Places.
+        points: Vec<(f64, f64)>,
+    },
+    /// A vertical line with a name at its foot.
+    Mark {
+        /// Place.
+        at: f64,
+        /// Name.
+        name: String,
+    },
     /// A coloured stretch along the lower edge.
     Stretch {
         /// Start.
@@ -146,6 +193,10 @@ pub struct Chart {
     pub x: Axis,
     /// Vertical axis.
     pub y: Axis,
+    /// A second scale on the right: what it shows, and its value for 1 on the left.
+    pub right: Option<(String, f64)>,
+    /// Size.
+    pub size: Size,
     /// From back to front.
     pub layers: Vec<Layer>,
     /// Names of the layers: text, CSS colour, whether it is an area.
@@ -153,20 +204,37 @@ pub struct Chart {
 }
 
 impl Chart {
+    /// An empty chart of that title.
+    pub fn new(title: &str, x: Axis, y: Axis) -> Self {
+        let (layers, key) = (Vec::new(), Vec::new());
+        Chart { title: title.into(), x, y, right: None, size: Size::Wide, layers, key }
+    }
+
+    fn end(&self) -> f64 {
+        self.size.width() - if self.right.is_some() { SECOND } else { RIGHT }
+    }
+
+    fn foot(&self) -> f64 {
+        self.size.height() - if self.size == Size::Small { 22.0 } else { BOTTOM }
+    }
+
     fn px(&self, x: f64) -> f64 {
-        LEFT + self.x.share(x) * (WIDTH - LEFT - RIGHT)
+        LEFT + self.x.share(x) * (self.end() - LEFT)
     }
 
     fn py(&self, y: f64) -> f64 {
-        HEIGHT - BOTTOM - self.y.share(y) * (HEIGHT - TOP - BOTTOM)
+        self.foot() - self.y.share(y) * (self.foot() - TOP)
     }
 
     /// The chart as a figure.
     pub fn render(&self) -> Markup {
+        let (width, height) = (self.size.width(), self.size.height());
         html! {
             figure {
-                svg viewBox=(format!("0 0 {WIDTH} {HEIGHT}")) role="img" aria-label=(self.title) {
+                @if self.size != Size::Wide { figcaption { (self.title) } }
+                svg viewBox=(format!("0 0 {width} {height}")) role="img" aria-label=(self.title) {
                     (self.axes())
+                    @if let Some((label, factor)) = &self.right { (self.second_scale(label, *factor)) }
                     @for layer in &self.layers { (self.layer(layer)) }
                 }
                 @if !self.key.is_empty() {
@@ -181,22 +249,37 @@ impl Chart {
     }
 
     fn axes(&self) -> Markup {
-        let (bottom, right) = (HEIGHT - BOTTOM, WIDTH - RIGHT);
+        let (foot, end) = (self.foot(), self.end());
         html! {
             @for tick in self.y.ticks() {
                 @let y = self.py(tick);
-                line.grid x1=(LEFT) x2=(right) y1=(round(y)) y2=(round(y)) {}
+                line.grid x1=(LEFT) x2=(end) y1=(round(y)) y2=(round(y)) {}
                 text x=(LEFT - 8.0) y=(round(y + 4.0)) text-anchor="end" { (number(tick)) }
             }
             @for tick in self.x.ticks() {
                 @let x = self.px(tick);
-                line.axis x1=(round(x)) x2=(round(x)) y1=(bottom) y2=(bottom + 5.0) {}
-                text x=(round(x)) y=(bottom + 18.0) text-anchor="middle" { (number(tick)) }
+                line.axis x1=(round(x)) x2=(round(x)) y1=(foot) y2=(foot + 5.0) {}
+                text x=(round(x)) y=(foot + 18.0) text-anchor="middle" { (number(tick)) }
             }
-            line.axis x1=(LEFT) x2=(right) y1=(bottom) y2=(bottom) {}
-            text x=(0.5 * (LEFT + right)) y=(HEIGHT - 6.0) text-anchor="middle" { (self.x.label) }
-            text x="14" y=(0.5 * (TOP + bottom)) text-anchor="middle"
-                transform=(format!("rotate(-90 14 {})", 0.5 * (TOP + bottom))) { (self.y.label) }
+            line.axis x1=(LEFT) x2=(end) y1=(foot) y2=(foot) {}
+            @if self.size != Size::Small {
+                text x=(0.5 * (LEFT + end)) y=(self.size.height() - 6.0) text-anchor="middle" { (self.x.label) }
+                text x="14" y=(0.5 * (TOP + foot)) text-anchor="middle"
+                    transform=(format!("rotate(-90 14 {})", 0.5 * (TOP + foot))) { (self.y.label) }
+            }
+        }
+    }
+
+    fn second_scale(&self, label: &str, factor: f64) -> Markup {
+        let (middle, x) = (0.5 * (TOP + self.foot()), self.size.width() - 8.0);
+        let scaled = Axis { from: self.y.from * factor, to: self.y.to * factor, ..self.y.clone() };
+        html! {
+            @for tick in scaled.ticks() {
+                @let y = round(self.py(tick / factor));
+                line.axis x1=(self.end()) x2=(self.end() + 5.0) y1=(y) y2=(y) {}
+                text x=(self.end() + 9.0) y=(round(y + 4.0)) { (number(tick)) }
+            }
+            text x=(x) y=(middle) text-anchor="middle" transform=(format!("rotate(90 {x} {middle})")) { (label) }
         }
     }
 
@@ -210,17 +293,29 @@ impl Chart {
                 d += &self.path(points.iter().rev().map(|(x, low, _)| (*x, *low)), 'L');
                 html! { path class=(class) d=(d + "Z") {} }
             }
+            Layer::Points { class, points } => html! {
+                @for (x, y) in points {
+                    circle class=(class) cx=(round(self.px(*x))) cy=(round(self.py(*y))) r="2.2" {}
+                }
+            },
             Layer::Limit { at, name, colour } => {
                 let y = round(self.py(*at));
                 html! {
-                    line.limit x1=(LEFT) x2=(WIDTH - RIGHT) y1=(y) y2=(y) style=(format!("stroke:{colour}")) {}
+                    line.limit x1=(LEFT) x2=(self.end()) y1=(y) y2=(y) style=(format!("stroke:{colour}")) {}
                     text x=(LEFT + 6.0) y=(y - 4.0) style=(format!("fill:{colour}")) { (name) }
+                }
+            }
+            Layer::Mark { at, name } => {
+                let x = round(self.px(*at));
+                html! {
+                    line.mark x1=(x) x2=(x) y1=(TOP) y2=(self.foot()) {}
+                    text x=(x + 4.0) y=(TOP + 10.0) { (name) }
                 }
             }
             Layer::Stretch { from, to, colour, name } => {
                 let (from, to) = (round(self.px(*from)), round(self.px(*to)));
                 html! {
-                    rect x=(from) width=((to - from).max(0.5)) y=(HEIGHT - BOTTOM - 9.0) height="9"
+                    rect x=(from) width=((to - from).max(0.5)) y=(self.foot() - 9.0) height="9"
                         style=(format!("fill:{colour}")) { title { (name) } }
                 }
             }
@@ -253,17 +348,12 @@ mod tests {
         assert_eq!(names, ["-0.3", "-0.2", "-0.1", "0", "0.1", "0.2", "0.3"]);
         let names: Vec<String> = logarithmic_ticks(0.01, 10.0).into_iter().map(number).collect();
         assert_eq!(names, ["0.01", "0.03", "0.1", "0.3", "1", "3", "10"]);
+        assert_eq!([1e-8, 3e-8, -2.5e-5, 2e7].map(number), ["1e-8", "3e-8", "-2.5e-5", "2e7"]);
     }
 
     #[test]
     fn a_line_runs_from_corner_to_corner() {
-        let chart = Chart {
-            title: "t".into(),
-            x: Axis::linear("x", 0.0, 1.0),
-            y: Axis::logarithmic("y", 1.0, 100.0),
-            layers: vec![],
-            key: vec![],
-        };
+        let chart = Chart::new("t", Axis::linear("x", 0.0, 1.0), Axis::logarithmic("y", 1.0, 100.0));
         let d = chart.path([(0.0, 1.0), (0.5, 10.0), (1.0, 1e9)].into_iter(), 'M');
         assert_eq!(d, "M62.0 258.0L484.0 135.0L906.0 12.0");
     }

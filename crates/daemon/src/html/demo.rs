@@ -2,7 +2,8 @@
 
 use maud::{Markup, html};
 
-use super::chart::{Axis, Chart, Layer, Scale};
+use super::chart::{Axis, Chart, Layer};
+use super::flags::{self, colour};
 use super::page;
 use crate::alarm::AlarmConfig;
 use crate::event::Flag;
@@ -62,17 +63,6 @@ pub struct DemoPage {
     pub duration_s: f64,
 }
 
-/// CSS colour of a flag.
-fn colour(flag: Flag) -> &'static str {
-    match flag {
-        Flag::NoEstimate => "var(--no_estimate)",
-        Flag::Healthy => "var(--healthy)",
-        Flag::Watch => "var(--watch)",
-        Flag::Leak => "var(--leak)",
-        Flag::Severe => "var(--severe)",
-    }
-}
-
 impl DemoPage {
     /// The page's text.
     pub fn render(&self) -> String {
@@ -109,14 +99,16 @@ impl DemoPage {
         let limit = all().map(|point| point.1.abs()).fold(0.1, f64::max);
         let end = all().map(|point| point.0).fold(1.0, f64::max);
         Chart {
-            title: "Valve command over the time in the cycle, healthy and worn".into(),
-            x: Axis::linear("time in the cycle, s", 0.0, (end * 10.0).round() / 10.0),
-            y: Axis::linear("valve command", -1.05 * limit, 1.05 * limit),
             layers: vec![
                 Layer::Line { class: "stroke-a", points: self.healthy.clone() },
                 Layer::Line { class: "stroke-b", points: self.worn.clone() },
             ],
             key: vec![("healthy".into(), "var(--a)", false), ("worn".into(), "var(--b)", false)],
+            ..Chart::new(
+                "Valve command over the time in the cycle, healthy and worn",
+                Axis::linear("time in the cycle, s", 0.0, (end * 10.0).round() / 10.0),
+                Axis::linear("valve command", -1.05 * limit, 1.05 * limit),
+            )
         }
     }
 
@@ -134,9 +126,6 @@ impl DemoPage {
             colour: colour(flag),
         };
         Chart {
-            title: "Leak flow over time, estimated and true".into(),
-            x: Axis::linear("time, min", 0.0, self.duration_s / 60.0),
-            y: Axis::logarithmic("leak, L/min", 0.03, highest * 1.2),
             layers: vec![
                 Layer::Band {
                     class: "fill-band",
@@ -157,49 +146,18 @@ impl DemoPage {
                 ("90 % interval".into(), "var(--band)", true),
                 ("truth".into(), "var(--b)", false),
             ],
+            ..Chart::new(
+                "Leak flow over time, estimated and true",
+                Axis::linear("time, min", 0.0, self.duration_s / 60.0),
+                Axis::logarithmic("leak, L/min", 0.03, highest * 1.2),
+            )
         }
     }
 
-    /// The flags as coloured stretches under a step line of their levels.
     fn flag_chart(&self) -> Chart {
-        let level = |flag: Flag| flag as u8 as f64;
-        let mut steps = Vec::new();
-        let mut stretches = Vec::new();
-        let mut before: Option<(f64, Flag)> = None;
-        let end = self.duration_s / 60.0;
-        let changes = self.changes.iter().map(|change| (change.t_s / 60.0, change.to));
-        for (at, flag) in changes.chain([(end, Flag::NoEstimate)]) {
-            if let Some((from, old)) = before {
-                steps.extend([(from, level(old)), (at, level(old))]);
-                stretches.push(Layer::Stretch {
-                    from,
-                    to: at,
-                    colour: colour(old).into(),
-                    name: old.name().into(),
-                });
-            }
-            before = Some((at, flag));
-        }
-        let mut layers = stretches;
-        layers.push(Layer::Line { class: "stroke-a", points: steps });
-        let names = [
-            (Flag::Healthy, "healthy"),
-            (Flag::Watch, "watch"),
-            (Flag::Leak, "leak"),
-            (Flag::Severe, "severe"),
-        ];
-        layers.extend(names.map(|(flag, name)| Layer::Limit {
-            at: level(flag),
-            name: name.into(),
-            colour: colour(flag),
-        }));
-        Chart {
-            title: "Flag over time".into(),
-            x: Axis::linear("time, min", 0.0, end),
-            y: Axis { scale: Scale::Named, ..Axis::linear("flag", 0.4, 4.6) },
-            layers,
-            key: vec![],
-        }
+        let changes: Vec<(f64, Flag)> =
+            self.changes.iter().map(|change| (change.t_s / 60.0, change.to)).collect();
+        flags::chart(Axis::linear("time, min", 0.0, self.duration_s / 60.0), &changes)
     }
 
     fn change_table(&self) -> Markup {

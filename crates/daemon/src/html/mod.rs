@@ -1,7 +1,10 @@
 //! Self-contained HTML pages: one file, no outside requests, light and dark, readable on paper.
 
 pub mod chart;
+#[cfg(feature = "simulate")]
 pub mod demo;
+pub mod flags;
+pub mod report;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
@@ -19,12 +22,19 @@ figure{margin:.6rem 0 0;padding:.6rem .6rem .3rem;background:var(--panel);border
 svg{display:block;width:100%;height:auto}svg text{fill:var(--soft);font-size:12px;font-family:inherit}
 .grid{stroke:var(--line);stroke-width:1}.axis{stroke:var(--soft);stroke-width:1}.series{fill:none;stroke-width:1.8;stroke-linejoin:round}
 .stroke-a{stroke:var(--a)}.stroke-b{stroke:var(--b)}.fill-band{fill:var(--band)}.limit{stroke-dasharray:5 4;stroke-width:1.2}
-.dash{stroke-dasharray:7 4}.key{display:flex;flex-wrap:wrap;gap:.2rem 1.2rem;padding:.2rem .4rem .3rem;font-size:.86rem;color:var(--soft)}
+.dash{stroke-dasharray:7 4}.mark{stroke:var(--line);stroke-width:1.5}.dot-a{fill:var(--a)}.dot-b{fill:var(--b)}
+figcaption{font-size:.82rem;color:var(--soft);overflow-wrap:anywhere}.grid-2,.grid-3{display:grid;gap:.6rem;grid-template-columns:repeat(2,1fr)}
+.grid-3{grid-template-columns:repeat(3,1fr)}.grid-2 figure,.grid-3 figure{margin:0}
+.tiles{display:grid;gap:.6rem;grid-template-columns:repeat(3,1fr);margin:1rem 0}
+.tiles div{background:var(--panel);border:1px solid var(--line);border-radius:8px;padding:.5rem .8rem}
+.tiles b{display:block;font-size:1.25rem;line-height:1.3}.tiles span{font-size:.82rem;color:var(--soft)}
+.key{display:flex;flex-wrap:wrap;gap:.2rem 1.2rem;padding:.2rem .4rem .3rem;font-size:.86rem;color:var(--soft)}
 .key span::before{content:'';display:inline-block;width:1.4em;height:.25em;margin-right:.45em;vertical-align:middle;background:var(--c)}
 .key .wide::before{height:.8em}table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums;font-size:.95rem}
-th,td{text-align:left;padding:.3rem .9rem .3rem 0;border-bottom:1px solid var(--line)}td.number,th.number{text-align:right}
-.tag{display:inline-block;padding:0 .5em;border-radius:4px;color:#fff}footer{margin-top:2.5rem;font-size:.85rem;color:var(--soft)}
-.scroll{overflow-x:auto}@media print{main{padding:0;max-width:none}figure,table{break-inside:avoid}.tag{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
+th,td{text-align:left;padding:.3rem .9rem .3rem 0;border-bottom:1px solid var(--line)}td.number,th.number{text-align:right;white-space:nowrap}
+.tag{display:inline-block;white-space:nowrap;padding:0 .5em;border-radius:4px;color:#fff}footer{margin-top:2.5rem;font-size:.85rem;color:var(--soft)}
+.scroll{overflow-x:auto}@media screen and (max-width:40rem){.grid-2,.grid-3,.tiles{grid-template-columns:1fr}}
+@media print{main{padding:0;max-width:none}figure,tr,.tiles{break-inside:avoid}h2,h2+p{break-after:avoid}.tag{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
 ";
 
 /// A page of that title and body.

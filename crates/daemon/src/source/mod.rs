@@ -15,6 +15,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 
+use indicatif::ProgressBar;
 use seepd_signals::Sample;
 
 use crate::can::dbc::Dbc;
@@ -39,6 +40,14 @@ pub trait Source {
 /// # Errors
 /// [`Failure`] where there is no such file, it is empty, or it is of no kind that is read.
 pub fn open(path: &Path, config: &Config) -> Result<Box<dyn Source>, Failure> {
+    open_with(path, config, &ProgressBar::hidden())
+}
+
+/// As [`open`]; the bar counts the bytes that have been read.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_with(path: &Path, config: &Config, bar: &ProgressBar) -> Result<Box<dyn Source>, Failure> {
     if path == Path::new("-") {
         return open_standard_input(config);
     }
@@ -51,7 +60,7 @@ pub fn open(path: &Path, config: &Config) -> Result<Box<dyn Source>, Failure> {
     file.by_ref().take(HEAD_BYTES as u64).read_to_end(&mut head).map_err(reading)?;
     let name = path.display().to_string();
     let kind = LogKind::of(&head, &name)?;
-    let file = File::open(path).map_err(reading)?;
+    let file = bar.wrap_read(File::open(path).map_err(reading)?);
     match kind {
         LogKind::Mcap => Ok(Box::new(mcap::McapSource::new(file, &name, config.mapping())?)),
         LogKind::Csv | LogKind::Candump => open_text(kind, file, &name, config),

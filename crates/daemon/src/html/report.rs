@@ -1,0 +1,350 @@
+//! The page that `seepd replay --html` leaves.
+
+use maud::{Markup, html};
+
+use super::chart::{Axis, Chart, Layer, Size};
+use super::flags::{self, colour};
+use super::page;
+use crate::alarm::AlarmConfig;
+use crate::event::{Flag, LPM_PER_M3_PER_S, Summary};
+use crate::sink::html::{Curves, HtmlSink, Point};
+
+/// What the page shows.
+pub struct ReportPage<'a> {
+    /// The record.
+    pub record: &'a HtmlSink,
+    /// What it comes to.
+    pub summary: &'a Summary,
+    /// Names of the features.
+    pub features: &'a [String],
+    /// Thresholds.
+    pub alarm: &'a AlarmConfig,
+    /// Leak area of 1 L/min at the reference pressure difference, m².
+    pub area_m2_per_lpm: f64,
+    /// Hours that the machine runs in a year.
+    pub operating_hours_per_year: f64,
+}
+
+/// Power that a leak of that flow turns into heat at a pressure difference, W: Δp · Q.
+fn power_w(flow_lpm: f64, pressure_difference_pa: f64) -> f64 {
+    flow_lpm / LPM_PER_M3_PER_S * pressure_difference_pa
+}
+
+/// Times before this are of a clock that began at the machine's start: no date.
+const FIRST_DATE_NS: i64 = 100_000_000_000_000_000;
+
+/// A date and time, or seconds of a clock that has none.
+fn time_text(time_ns: i64) -> String {
+    let date = jiff::Timestamp::from_nanosecond(i128::from(time_ns)).ok();
+    match date.filter(|_| time_ns >= FIRST_DATE_NS) {
+        Some(date) => date.strftime("%Y-%m-%d %H:%M:%S UTC").to_string(),
+        None => format!("{:.1} s", time_ns as f64 / 1e9),
+    }
+}
+
+impl ReportPage<'_> {
+    /// The page's text.
+    pub fn render(&self) -> String {
+        let title = format!("Piston seal of {}", self.summary.axis);
+        let body = html! {
+            h1 { (title) }
+            (self.verdict())
+            (self.tiles())
+            @if let Some(curves) = self.record.curves() { (self.command(&curves)) }
+            @if self.points().next().is_some() {
+                h2 { "The leak" }
+                p.soft { "Estimate of each cycle; the band holds the truth nine times in ten, on machines like those that the model was trained on. "
+                    "Flow at " (self.mpa()) " MPa on the left, the same leak's area on the right. Estimates below the axis stand on it." }
+                (self.leak_chart().render())
+            }
+            h2 { "The flags" }
+            (self.flags())
+            h2 { "Rejected cycles" }
+            (self.rejected())
+            @if self.points().next().is_some() {
+                h2 { "The features" }
+                p.soft { "What the trees see of each cycle, over the cycle's number. A step in all of them at once is a change of the machine "
+                    "(valve, load, duty cycle) rather than wear." }
+                div.grid-3 { @for index in 0..self.features.len() { (self.feature_chart(index).render()) } }
+            }
+            h2 { "The logs" }
+            (self.logs())
+        };
+        page(&format!("{title} – seepd"), &body)
+    }
+
+    fn mpa(&self) -> f64 {
+        self.summary.reference_dp_pa / 1e6
+    }
+
+    fn points(&self) -> impl Iterator<Item = &Point> + Clone {
+        self.record.points.iter()
+    }
+
+    /// Numbers of the first and of the last cycle, as ends of an axis.
+    fn cycle_axis(&self, label: &str) -> Axis {
+        let last = self.summary.cycles + self.summary.rejected.values().sum::<u64>();
+        Axis::linear(label, 0.0, last.saturating_sub(1).max(1) as f64)
+    }
+
+    fn verdict(&self) -> Markup {
+        let summary = self.summary;
+        let flag = summary.flag;
+        let why = summary.reason.map(|reason| format!(": {}", reason.replace('_', " "))).unwrap_or_default();
+        let text = match flag {
+            Flag::NoEstimate => format!("There is no estimate{why}."),
+            Flag::Healthy => "No leak that matters.".into(),
+            Flag::Watch => "A leak to keep an eye on.".into(),
+            Flag::Leak => "A leak at which the seal's change is to be planned.".into(),
+            Flag::Severe => "A leak that the machine should not run with.".into(),
+        };
+        html! {
+            p {
+                span.tag style=(format!("background:{}", colour(flag))) { (flag.name().replace('_', " ")) } " " (text)
+                @if summary.highest_flag > flag { " The highest flag in this record was " (summary.highest_flag.name()) "." }
+            }
+        }
+    }
+
+    fn tiles(&self) -> Markup {
+        let summary = self.summary;
+        let rejected: u64 = summary.rejected.values().sum();
+        let interval = self.points().last().map(|point| point.interval_m2);
+        html! {
+            div.tiles {
+                @if let (Some(area), Some(flow)) = (summary.leak_area_m2, summary.leak_flow_lpm) {
+                    @let power = power_w(flow, summary.reference_dp_pa);
+                    div { b { (format!("{flow:.2} L/min")) } span { "leak at " (self.mpa()) " MPa (median of the last cycles)" } }
+                    div { b { (format!("{area:.2e} m²")) } span { "leak area"
+                        @if let Some([low, high]) = interval { (format!("; last cycle {low:.1e} … {high:.1e}")) } } }
+                    div { b { (format!("{power:.0} W")) } span { "hydraulic power lost, Δp · Q at " (self.mpa()) " MPa" } }
+                    div { b { (format!("{:.0} kWh a year", power * self.operating_hours_per_year / 1000.0)) }
+                        span { "at " (self.operating_hours_per_year) " hours a year" } }
+                }
+                div { b { (summary.cycles) } span { "cycles with an estimate, " (rejected) " rejected" } }
+                div { b { (duration_text(summary.duration_s)) } span { (self.record.logs.len()) " log" @if self.record.logs.len() != 1 { "s" }
+                    @if let Some(start) = self.record.logs.first().and_then(|log| log.start_ns) { ", from " (time_text(start)) } } }
+            }
+        }
+    }
+
+    fn command(&self, curves: &Curves) -> Markup {
+        let name = if curves.healthy { "healthy" } else { "the first cycles" };
+        let all = || curves.before.iter().chain(&curves.now);
+        let limit = all().map(|point| point.1.abs()).fold(0.05, f64::max) * 1.05;
+        let end = all().map(|point| point.0).fold(0.1, f64::max);
+        let difference: Vec<(f64, f64)> = curves
+            .now
+            .iter()
+            .zip(&curves.before)
+            .filter(|(now, before)| now.0 == before.0)
+            .map(|(now, before)| (now.0, now.1 - before.1))
+            .collect();
+        let largest = difference.iter().map(|point| point.1.abs()).fold(0.002, f64::max) * 1.05;
+        let time = || Axis::linear("time in the cycle, s", 0.0, (end * 10.0).round() / 10.0);
+        let both = Chart {
+            layers: vec![
+                Layer::Line { class: "stroke-a", points: curves.before.clone() },
+                Layer::Line { class: "stroke-b", points: curves.now.clone() },
+            ],
+            key: vec![
+                (format!("{name} (mean of {})", curves.cycles.0), "var(--a)", false),
+                (format!("now (mean of the last {})", curves.cycles.1), "var(--b)", false),
+            ],
+            ..Chart::new(
+                "Valve command by time in the cycle",
+                time(),
+                Axis::linear("valve command", -limit, limit),
+            )
+        };
+        let apart = Chart {
+            layers: vec![
+                Layer::Limit { at: 0.0, name: String::new(), colour: "var(--soft)" },
+                Layer::Line { class: "stroke-b", points: difference },
+            ],
+            ..Chart::new(
+                "Difference of the valve command by time in the cycle",
+                time(),
+                Axis::linear(&format!("now less {name}"), -largest, largest),
+            )
+        };
+        html! {
+            h2 { "The command, " (name) " and now" }
+            p.soft { "The controller fights the leak: in the holds the valve stays open, and strokes need more or less of it."
+                @if !curves.healthy { " No cycle of this record was healthy; the last cycles stand beside the first." } }
+            (both.render())
+            (apart.render())
+        }
+    }
+
+    /// Where each log but the first begins.
+    fn log_marks(&self) -> Vec<Layer> {
+        let logs = self.record.logs.iter().skip(1);
+        logs.map(|log| Layer::Mark { at: log.first_cycle as f64, name: short_name(&log.name) }).collect()
+    }
+
+    fn leak_chart(&self) -> Chart {
+        let flow = |area: f64| area / self.area_m2_per_lpm;
+        let at = |point: &Point| point.cycle as f64;
+        let highest = self.points().map(|p| flow(p.interval_m2[1])).fold(self.alarm.severe_lpm, f64::max);
+        let limit = |name: &str, at, flag| Layer::Limit {
+            at,
+            name: format!("{name} {at} L/min"),
+            colour: colour(flag),
+        };
+        let band = |p: &Point| (at(p), flow(p.interval_m2[0]), flow(p.interval_m2[1]));
+        let mut layers = self.log_marks();
+        layers.extend([
+            Layer::Band { class: "fill-band", points: self.points().map(band).collect() },
+            limit("watch", self.alarm.watch_lpm, Flag::Watch),
+            limit("leak", self.alarm.leak_lpm, Flag::Leak),
+            limit("severe", self.alarm.severe_lpm, Flag::Severe),
+            Layer::Line {
+                class: "stroke-a",
+                points: self.points().map(|p| (at(p), p.leak_flow_lpm)).collect(),
+            },
+        ]);
+        Chart {
+            layers,
+            right: Some(("area, m²".into(), self.area_m2_per_lpm)),
+            key: vec![("estimate".into(), "var(--a)", false), ("90 % interval".into(), "var(--band)", true)],
+            ..Chart::new(
+                "Leak by cycle",
+                self.cycle_axis("cycle"),
+                Axis::logarithmic("leak, L/min", 0.01, highest * 1.3),
+            )
+        }
+    }
+
+    fn flags(&self) -> Markup {
+        let changes: Vec<(f64, Flag)> =
+            self.record.changes.iter().map(|change| (change.cycle as f64, change.to)).collect();
+        html! {
+            p.soft { "A flag rises after " (self.alarm.raise_cycles) " cycles in a row at or above its threshold, and falls after "
+                (self.alarm.clear_cycles) " below " (self.alarm.clear_share * 100.0) " % of it." }
+            @if changes.is_empty() { p { "No flag was set: there was no cycle to base one on." } }
+            @else {
+                (flags::chart(self.cycle_axis("cycle"), &changes).render())
+                div.scroll { table {
+                    thead { tr { th { "Flag" } th { "before" } th.number { "cycle" } th { "time" } th.number { "s from the start" } th { "on what grounds" } } }
+                    tbody { @for change in &self.record.changes { tr {
+                        td { span.tag style=(format!("background:{}", colour(change.to))) { (change.to.name().replace('_', " ")) } }
+                        td { (change.from.name().replace('_', " ")) }
+                        td.number { (change.cycle) }
+                        td { (time_text(change.t_ns)) }
+                        td.number { (format!("{:.1}", change.t_s)) }
+                        td { (change.grounds) }
+                    } } }
+                } }
+            }
+        }
+    }
+
+    fn rejected(&self) -> Markup {
+        if self.record.rejected.is_empty() {
+            return html! { p { "None." } };
+        }
+        html! {
+            div.scroll { table {
+                thead { tr { th { "Reason" } th.number { "cycles" } th { "what it means" } th { "cycle (start, s)" } } }
+                tbody { @for (reason, rejected) in &self.record.rejected { tr {
+                    td { (reason.replace('_', " ")) }
+                    td.number { (rejected.count) }
+                    td { (meaning(reason)) }
+                    td {
+                        (rejected.first.iter().map(|(cycle, start)| format!("{cycle} ({start:.1})")).collect::<Vec<_>>().join(", "))
+                        @if rejected.count as usize > rejected.first.len() { " …" }
+                    }
+                } } }
+            } }
+        }
+    }
+
+    fn feature_chart(&self, index: usize) -> Chart {
+        let points: Vec<(f64, f64)> = self
+            .points()
+            .filter_map(|point| point.features.get(index).map(|value| (point.cycle as f64, *value)))
+            .collect();
+        let low = points.iter().map(|point| point.1).fold(f64::INFINITY, f64::min);
+        let high = points.iter().map(|point| point.1).fold(f64::NEG_INFINITY, f64::max);
+        let margin = (0.05 * (high - low)).max(1e-6 * high.abs()).max(1e-9);
+        Chart {
+            size: Size::Small,
+            layers: vec![Layer::Line { class: "stroke-a", points }],
+            ..Chart::new(
+                &self.features[index],
+                self.cycle_axis("cycle"),
+                Axis::linear("", low - margin, high + margin),
+            )
+        }
+    }
+
+    fn logs(&self) -> Markup {
+        let summary = self.summary;
+        html! {
+            div.scroll { table {
+                thead { tr { th { "Log" } th { "first sample" } th.number { "duration" } th.number { "samples" } th.number { "first cycle" } } }
+                tbody { @for log in &self.record.logs { tr {
+                    td { (log.name) @for note in &log.notes { br; span.soft { (note) } } }
+                    td { (log.start_ns.map_or("–".into(), time_text)) }
+                    td.number { (duration_text(log.duration_s)) }
+                    td.number { (log.samples) }
+                    td.number { (log.first_cycle) }
+                } } }
+            } }
+            @if !summary.samples_rejected.is_empty() {
+                p { "Samples that were not used as they are: "
+                    (summary.samples_rejected.iter().map(|(name, count)| format!("{count} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")) "." }
+            }
+            @if self.record.points.stride() > 1 {
+                p.soft { "The charts show every " (self.record.points.stride()) "th cycle." }
+            }
+        }
+    }
+}
+
+/// What a rejection's reason means, for people.
+fn meaning(reason: &str) -> &'static str {
+    match reason {
+        "incomplete" => "begins before the log or ends after it, or a stroke is missing",
+        "gap" => "samples are missing",
+        "duplicate" => "the same cycle again",
+        "out_of_order" => "time went backwards within it",
+        "not_a_number" => "the command was not a number",
+        "out_of_range" => "the command lay outside of −1 … 1",
+        "stuck" => "the command stood still while the machine had to move",
+        "wrong_rate" => "samples came at another rate than the model's",
+        _ => "",
+    }
+}
+
+fn short_name(name: &str) -> String {
+    name.rsplit(['/', '\\']).next().unwrap_or(name).to_owned()
+}
+
+fn duration_text(duration_s: f64) -> String {
+    match duration_s {
+        s if s < 120.0 => format!("{s:.1} s"),
+        s if s < 7200.0 => format!("{:.1} min", s / 60.0),
+        s if s < 172_800.0 => format!("{:.1} h", s / 3600.0),
+        s => format!("{:.1} days", s / 86_400.0),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// 1 L/min at 6 MPa is 100 W, the hydraulic engineer's rule of thumb (p in bar times Q in L/min over 600 is kW).
+    #[test]
+    fn analytic_power_of_a_leak() {
+        assert!((power_w(1.0, 6e6) - 100.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn times_are_dates_where_the_clock_has_them() {
+        assert_eq!(time_text(1_750_000_000_000_000_000), "2025-06-15 15:06:40 UTC");
+        assert_eq!(time_text(1_500_000_000), "1.5 s");
+        assert_eq!(duration_text(86_400.0), "24.0 h");
+    }
+}

@@ -1,0 +1,358 @@
+//! What a report page shows of a record, collected as it is read; bounded, whatever the record's length.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use seepd_signals::{Sample, Signal};
+
+use crate::event::{CycleLine, Event, Flag, FlagEvent};
+
+/// Points of a cycle's curve.
+pub const CURVE_BINS: usize = 400;
+/// Cycles whose mean is the healthy curve, and the present one.
+pub const CURVE_CYCLES: usize = 5;
+/// Cycles that are kept for the charts; of longer records every second, fourth … is.
+const POINTS_KEPT: usize = 2000;
+/// Flag changes that are kept.
+const CHANGES_KEPT: usize = 500;
+/// Rejected cycles of a reason that are named.
+pub const REJECTED_NAMED: usize = 12;
+/// Periods of the command that are held until their cycle is known.
+const PERIODS_HELD: f64 = 3.5;
+
+/// A cycle with an estimate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Point {
+    /// Number.
+    pub cycle: u64,
+    /// Estimate, m².
+    pub leak_area_m2: f64,
+    /// Interval, m².
+    pub interval_m2: [f64; 2],
+    /// Flow at the reference pressure difference, L/min.
+    pub leak_flow_lpm: f64,
+    /// Features in the model's order.
+    pub features: Vec<f64>,
+}
+
+/// A flag that rose or fell.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Change {
+    /// Cycle that decided.
+    pub cycle: u64,
+    /// Time, s from the record's first sample.
+    pub t_s: f64,
+    /// Time, ns in the log's own time.
+    pub t_ns: i64,
+    /// Flag before.
+    pub from: Flag,
+    /// Flag now.
+    pub to: Flag,
+    /// On what grounds.
+    pub grounds: String,
+}
+
+/// Cycles that were rejected for one reason.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Rejected {
+    /// How many.
+    pub count: u64,
+    /// Number and start, s from the record's first sample, of the first of them.
+    pub first: Vec<(u64, f64)>,
+}
+
+/// A log of the record.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LogEntry {
+    /// Name.
+    pub name: String,
+    /// First sample, ns in the log's own time.
+    pub start_ns: Option<i64>,
+    /// From its first to its last sample, s.
+    pub duration_s: f64,
+    /// Samples with a command.
+    pub samples: u64,
+    /// Number of the first cycle that ends in it.
+    pub first_cycle: u64,
+    /// What was damaged or left out.
+    pub notes: Vec<String>,
+}
+
+/// See the [module](self).
+pub struct HtmlSink {
+    period_s: f64,
+    healthy_below_lpm: f64,
+    ring: VecDeque<(i64, f32)>,
+    ring_samples: usize,
+    /// Mean command of the first healthy cycles, in bins over the period, and how many they are.
+    healthy: Mean,
+    /// The same of the first cycles of any condition.
+    first: Mean,
+    recent: VecDeque<Vec<f32>>,
+    /// Cycles for the charts.
+    pub points: Thinned<Point>,
+    /// Flag changes.
+    pub changes: Vec<Change>,
+    /// Rejected cycles by reason.
+    pub rejected: BTreeMap<&'static str, Rejected>,
+    /// Logs.
+    pub logs: Vec<LogEntry>,
+    cycles: u64,
+}
+
+impl HtmlSink {
+    /// A collector for a model's period and rate. Cycles with an estimate below the flow count as healthy: flags need a few
+    /// cycles to rise, so that they do not tell of the first ones.
+    pub fn new(period_s: f64, sample_rate_hz: f64, healthy_below_lpm: f64) -> Self {
+        let ring_samples = (PERIODS_HELD * period_s * sample_rate_hz) as usize;
+        HtmlSink {
+            period_s,
+            healthy_below_lpm,
+            ring: VecDeque::with_capacity(ring_samples),
+            ring_samples,
+            healthy: Mean::default(),
+            first: Mean::default(),
+            recent: VecDeque::new(),
+            points: Thinned::new(POINTS_KEPT),
+            changes: Vec::new(),
+            rejected: BTreeMap::new(),
+            logs: Vec::new(),
+            cycles: 0,
+        }
+    }
+
+    /// A log begins.
+    pub fn begin_log(&mut self, name: &str) {
+        self.logs.push(LogEntry {
+            name: name.into(),
+            start_ns: None,
+            duration_s: 0.0,
+            samples: 0,
+            first_cycle: self.cycles,
+            notes: Vec::new(),
+        });
+    }
+
+    /// A log has ended; what was damaged or left out of it.
+    pub fn end_log(&mut self, notes: &[String]) {
+        if let Some(log) = self.logs.last_mut() {
+            log.notes = notes.to_vec();
+        }
+    }
+
+    /// A sample, in the pipeline's time and before the pipeline hears of it.
+    pub fn take_sample(&mut self, sample: &Sample) {
+        let Some(command) = sample.get(Signal::Command) else { return };
+        if self.ring.len() == self.ring_samples {
+            self.ring.pop_front();
+        }
+        self.ring.push_back((sample.time_ns, command as f32));
+        if let Some(log) = self.logs.last_mut() {
+            let start_ns = *log.start_ns.get_or_insert(sample.time_ns);
+            log.duration_s = sample.time_ns.saturating_sub(start_ns) as f64 / 1e9;
+            log.samples += 1;
+        }
+    }
+
+    /// An event.
+    pub fn take_event(&mut self, event: &Event<'_>) {
+        match event {
+            Event::Cycle(line) => self.take_cycle(line),
+            Event::Flag(flag) => self.take_change(flag),
+        }
+    }
+
+    fn take_cycle(&mut self, line: &CycleLine<'_>) {
+        self.cycles = line.cycle + 1;
+        if let Some(reason) = line.reason {
+            let rejected = self.rejected.entry(reason).or_default();
+            rejected.count += 1;
+            if rejected.first.len() < REJECTED_NAMED {
+                rejected.first.push((line.cycle, line.t_start_s));
+            }
+        }
+        let (Some(leak_area_m2), Some(interval_m2), Some(leak_flow_lpm), Some(features)) =
+            (line.leak_area_m2, line.interval90_m2, line.leak_flow_lpm, line.features)
+        else {
+            return;
+        };
+        let curve = self.curve(line);
+        self.first.add(&curve);
+        if leak_flow_lpm < self.healthy_below_lpm {
+            self.healthy.add(&curve);
+        }
+        if self.recent.len() == CURVE_CYCLES {
+            self.recent.pop_front();
+        }
+        self.recent.push_back(curve);
+        let features = features.values.to_vec();
+        self.points.push(Point { cycle: line.cycle, leak_area_m2, interval_m2, leak_flow_lpm, features });
+    }
+
+    /// A cycle's command in bins over the period; not a number where there is no sample.
+    fn curve(&self, line: &CycleLine<'_>) -> Vec<f32> {
+        let mut sums = vec![(0.0f32, 0u32); CURVE_BINS];
+        let length_s = (line.t_end_s - line.t_start_s).min(self.period_s);
+        for (time_ns, command) in &self.ring {
+            let at_s = time_ns.saturating_sub(line.t_start_ns) as f64 / 1e9;
+            if (0.0..length_s).contains(&at_s) {
+                let bin = (at_s / self.period_s * CURVE_BINS as f64) as usize;
+                if let Some((sum, count)) = sums.get_mut(bin) {
+                    *sum += command;
+                    *count += 1;
+                }
+            }
+        }
+        sums.into_iter().map(|(sum, count)| sum / count as f32).collect()
+    }
+
+    fn take_change(&mut self, event: &FlagEvent<'_>) {
+        if self.changes.len() >= CHANGES_KEPT {
+            return;
+        }
+        let evidence = &event.evidence;
+        let grounds =
+            match (evidence.reason, evidence.lowest_lpm, evidence.highest_lpm, evidence.threshold_lpm) {
+                (Some(reason), ..) => reason.replace('_', " "),
+                (_, Some(low), Some(high), Some(threshold)) => {
+                    format!(
+                        "{} cycles at {low:.2} … {high:.2} L/min; threshold {threshold} L/min",
+                        evidence.cycles
+                    )
+                }
+                _ if evidence.cycles == 1 => "a cycle with an estimate".into(),
+                _ => format!("{} cycles in a row", evidence.cycles),
+            };
+        self.changes.push(Change {
+            cycle: event.cycle,
+            t_s: event.t_s,
+            t_ns: event.t_ns,
+            from: event.flag_from,
+            to: event.flag_to,
+            grounds,
+        });
+    }
+
+    /// The command of the first healthy cycles, of the last cycles, and whether the former were healthy: time in the cycle, s,
+    /// and command. `None` without a cycle.
+    pub fn curves(&self) -> Option<Curves> {
+        let mut now = Mean::default();
+        for curve in &self.recent {
+            now.add(curve);
+        }
+        let healthy = self.healthy.cycles > 0;
+        let before = if healthy { &self.healthy } else { &self.first };
+        (now.cycles > 0).then(|| Curves {
+            before: before.points(self.period_s),
+            now: now.points(self.period_s),
+            healthy,
+            cycles: (before.cycles, now.cycles),
+        })
+    }
+}
+
+/// Two curves of the command.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Curves {
+    /// The first cycles: time in the cycle, s, and mean command.
+    pub before: Vec<(f64, f64)>,
+    /// The last ones.
+    pub now: Vec<(f64, f64)>,
+    /// Whether the first ones were healthy.
+    pub healthy: bool,
+    /// How many cycles each is the mean of.
+    pub cycles: (usize, usize),
+}
+
+/// Mean of the first few curves.
+#[derive(Default)]
+struct Mean {
+    sum: Vec<f64>,
+    cycles: usize,
+}
+
+impl Mean {
+    fn add(&mut self, curve: &[f32]) {
+        if self.cycles == CURVE_CYCLES {
+            return;
+        }
+        self.sum.resize(curve.len(), 0.0);
+        for (sum, value) in self.sum.iter_mut().zip(curve) {
+            *sum += f64::from(*value);
+        }
+        self.cycles += 1;
+    }
+
+    fn points(&self, period_s: f64) -> Vec<(f64, f64)> {
+        let at = |bin: usize| (bin as f64 + 0.5) / self.sum.len() as f64 * period_s;
+        let points = self.sum.iter().enumerate().map(|(bin, sum)| (at(bin), sum / self.cycles as f64));
+        points.filter(|(_, command)| command.is_finite()).collect()
+    }
+}
+
+/// At most so many of what is pushed: every first, every second, every fourth …, and the newest.
+#[derive(Debug, Clone)]
+pub struct Thinned<T> {
+    kept: Vec<T>,
+    newest: Option<T>,
+    most: usize,
+    stride: u64,
+    pushed: u64,
+}
+
+impl<T> Thinned<T> {
+    /// Keeps at most `most`, and the newest.
+    pub fn new(most: usize) -> Self {
+        Thinned { kept: Vec::new(), newest: None, most, stride: 1, pushed: 0 }
+    }
+
+    /// Adds one.
+    pub fn push(&mut self, value: T) {
+        if self.pushed.is_multiple_of(self.stride) {
+            if self.kept.len() == self.most {
+                let mut index = 0;
+                self.kept.retain(|_| {
+                    index += 1;
+                    index % 2 == 1
+                });
+                self.stride *= 2;
+            }
+            if self.pushed.is_multiple_of(self.stride) {
+                self.kept.push(value);
+                self.newest = None;
+                self.pushed += 1;
+                return;
+            }
+        }
+        self.newest = Some(value);
+        self.pushed += 1;
+    }
+
+    /// What was kept, in order.
+    pub fn iter(&self) -> impl Iterator<Item = &T> + Clone {
+        self.kept.iter().chain(&self.newest)
+    }
+
+    /// Every so many are kept.
+    pub fn stride(&self) -> u64 {
+        self.stride
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn property_thinned_keeps_a_bounded_even_choice_and_the_newest() {
+        for count in [0u64, 1, 7, 8, 9, 100, 1000] {
+            let mut thinned = Thinned::new(8);
+            (0..count).for_each(|value| thinned.push(value));
+            let kept: Vec<u64> = thinned.iter().copied().collect();
+            assert!(kept.len() <= 9, "{kept:?}");
+            assert_eq!(kept.last().copied(), count.checked_sub(1));
+            let (stride, even) = (thinned.stride(), kept.len().saturating_sub(1));
+            assert!(kept[..even].iter().all(|value| value % stride == 0), "{kept:?}");
+            assert!(kept.windows(2).all(|pair| pair[1] > pair[0] && pair[1] - pair[0] <= stride));
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! Reports as pages: what they say, and that they need nothing from outside.
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
+#[expect(dead_code, reason = "other tests use the rest")]
+mod support;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use support::{replay, seepd, simulate, stderr, stdout, summary};
+
+fn text_of(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+fn log(folder: &tempfile::TempDir, name: &str, more: &[&str]) -> PathBuf {
+    let log = folder.path().join(name);
+    simulate(&log, &[&["--command-only"], more].concat());
+    log
+}
+
+/// A page must be one file: nothing is fetched, and every `<` that a name brings is escaped.
+fn assert_self_contained(page: &str) {
+    assert!(page.starts_with("<!DOCTYPE html>") && page.trim_end().ends_with("</html>"));
+    for outside in ["http://", "https://", "src=", "href=", "url(", "@import", "<script"] {
+        assert!(!page.contains(outside), "{outside}");
+    }
+    assert!(page.contains("prefers-color-scheme:dark") && page.contains("@media print"));
+    assert!(!page.contains("NaN") && !page.contains(">inf"), "no number that is none");
+}
+
+#[test]
+fn a_report_of_several_logs_tells_leak_power_flags_and_rejections() {
+    let folder = tempfile::tempdir().unwrap();
+    let healthy = log(&folder, "monday.mcap", &["--cycles", "6"]);
+    let worn = log(
+        &folder,
+        "tuesday.mcap",
+        &["--cycles", "6", "--leak-area", "2e-7", "--seed", "2", "--start-at", "4"],
+    );
+    let page = folder.path().join("report.html");
+    let config = folder.path().join("seepd.toml");
+    fs::write(&config, "axis = \"press <3>\"\noperating_hours_per_year = 2000\n").unwrap();
+    let more = [text_of(&worn), "--config", text_of(&config), "--html", text_of(&page)];
+    let lines = replay(&healthy, &more);
+    let page = fs::read_to_string(&page).unwrap();
+    assert_self_contained(&page);
+    let flow_lpm = summary(&lines)["leak_flow_lpm"].as_f64().unwrap();
+    let power_w = flow_lpm / 60_000.0 * 7e6;
+    for told in [
+        "Piston seal of press &lt;3&gt;".to_owned(),
+        format!("{flow_lpm:.2} L/min"),
+        format!("{power_w:.0} W"),
+        format!("{:.0} kWh a year", power_w * 2.0),
+        "healthy (mean of 5)".into(),
+        "now (mean of the last 5)".into(),
+        "monday.mcap".into(),
+        "tuesday.mcap".into(),
+        "its clock begins anew".into(),
+        "samples are missing".into(),
+        "threshold 0.6 L/min".into(),
+        "relative.hold_1".into(),
+    ] {
+        assert!(page.contains(&told), "{told}");
+    }
+    // The wear is one step in the record: half of the cycles before it, and the leak at the end.
+    assert_eq!(summary(&lines)["flag"], "leak");
+    assert_eq!(summary(&lines)["cycles"].as_u64().unwrap() + 1, 12);
+}
+
+#[test]
+fn a_report_of_a_log_without_cycles_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("still.csv");
+    let rows: String = (0..40_000).map(|index| format!("{},0.1\n", f64::from(index) * 1e-3)).collect();
+    fs::write(&csv, format!("t_s,command\n{rows}")).unwrap();
+    let page = folder.path().join("report.html");
+    stdout(&seepd(["replay", text_of(&csv), "--quiet", "--html", text_of(&page)]));
+    let page = fs::read_to_string(&page).unwrap();
+    assert_self_contained(&page);
+    assert!(page.contains("There is no estimate: stuck."), "{page}");
+}
+
+#[test]
+fn a_report_that_begins_with_a_leak_does_not_call_it_healthy() {
+    let folder = tempfile::tempdir().unwrap();
+    let worn = log(&folder, "worn.mcap", &["--cycles", "5", "--leak-area", "5e-7"]);
+    let page = folder.path().join("report.html");
+    let output = seepd(["replay", text_of(&worn), "--quiet", "--html", text_of(&page)]);
+    stdout(&output);
+    let page = fs::read_to_string(&page).unwrap();
+    assert!(page.contains("the first cycles (mean of"), "{}", stderr(&output));
+}
+
+#[test]
+fn a_page_that_cannot_be_written_is_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let worn = log(&folder, "worn.mcap", &["--cycles", "2"]);
+    let output = seepd(["replay", text_of(&worn), "--quiet", "--html", "/nowhere/report.html"]);
+    assert_eq!(output.status.code(), Some(74));
+    assert_eq!(stderr(&output).lines().count(), 1, "{}", stderr(&output));
+}
