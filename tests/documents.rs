@@ -1,5 +1,8 @@
 //! What the documents say is what the program does.
 
+#[expect(dead_code, reason = "other tests use the rest")]
+mod support;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -42,9 +45,12 @@ fn design_names_every_crate() {
 }
 
 #[test]
-fn changelog_names_every_command() {
+fn changelog_and_readme_name_every_command() {
     let changes = fs::read_to_string(root().join("CHANGELOG.md")).unwrap();
-    for command in ["demo", "simulate", "train", "replay", "inspect", "check", "completions", "man"] {
+    let readme = fs::read_to_string(root().join("README.md")).unwrap();
+    for command in support::commands() {
         assert!(changes.contains(&format!("`seepd {command}`")), "{command}");
+        let told = ["seepd", "--"].iter().any(|before| readme.contains(&format!("{before} {command}")));
+        assert!(told, "{command}");
     }
 }

@@ -231,3 +231,39 @@ fn a_model_with_nan_is_refused_with_its_place() {
         assert!(told.contains(&format!("trees[0].value[0]: {name} at line 1 column")), "{told}");
     }
 }
+
+#[test]
+fn training_gives_its_data_and_its_report_to_other_tools() {
+    let folder = tempfile::tempdir().unwrap();
+    let (model, data) = (folder.path().join("model.json"), folder.path().join("data.csv"));
+    let output = seepd([
+        "train",
+        "--observations",
+        "240",
+        "--held-out",
+        "100",
+        "--trials",
+        "1",
+        "--json",
+        "--out",
+        model.to_str().unwrap(),
+        "--data",
+        data.to_str().unwrap(),
+    ]);
+    let report: Value = serde_json::from_str(&stdout(&output)).unwrap();
+    assert_eq!(report["schema"], "seepd.training/1");
+    assert_eq!(report["by_noise"].as_array().unwrap().len(), 5);
+    assert!(report["accuracy"]["r2_area"].as_f64().unwrap() > 0.9);
+    let model = Model::from_json(&fs::read(&model).unwrap()).unwrap();
+    let mut rows = csv::Reader::from_path(&data).unwrap();
+    let header: Vec<String> = rows.headers().unwrap().iter().map(str::to_owned).collect();
+    assert_eq!(header[..header.len() - 1], *model.feature_names());
+    assert_eq!(header.last().unwrap(), "leak_area_m2");
+    let values: Vec<Vec<f64>> =
+        rows.records().map(|row| row.unwrap().iter().map(|text| text.parse().unwrap()).collect()).collect();
+    assert!((238..=240).contains(&values.len()), "{}", values.len());
+    // The model knows what it learned from: rows and leaks belong together.
+    let (features, area) = values[200].split_at(header.len() - 1);
+    let estimate = model.estimate(features).value;
+    assert!((estimate - area[0]).abs() < 0.3 * area[0], "{estimate}, not {}", area[0]);
+}

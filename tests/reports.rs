@@ -7,6 +7,7 @@ mod support;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use serde_json::Value;
 use support::{replay, seepd, simulate, stderr, stdout, summary};
 
 fn text_of(path: &Path) -> &str {
@@ -99,4 +100,51 @@ fn a_page_that_cannot_be_written_is_one_line() {
     let output = seepd(["replay", text_of(&worn), "--quiet", "--html", "/nowhere/report.html"]);
     assert_eq!(output.status.code(), Some(74));
     assert_eq!(stderr(&output).lines().count(), 1, "{}", stderr(&output));
+}
+
+#[test]
+#[expect(clippy::disallowed_methods, reason = "the limit is one of wall time")]
+fn the_study_finds_the_plant_s_figures_and_says_what_agrees() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = folder.path().join("study.html");
+    let begin = std::time::Instant::now();
+    let study: Value =
+        serde_json::from_str(&stdout(&seepd(["study", "--json", "--out", text_of(&page)]))).unwrap();
+    // Two minutes is the limit, on two cores.
+    assert!(begin.elapsed().as_secs() < 120, "{:?}", begin.elapsed());
+    assert_self_contained(&fs::read_to_string(&page).unwrap());
+    let verdicts = study["verdicts"].as_array().unwrap();
+    let agreement = |figure: &str| {
+        verdicts.iter().find(|verdict| verdict["figure"] == figure).unwrap()["agreement"].as_str().unwrap()
+    };
+    assert_eq!(verdicts.len(), 7);
+    assert_eq!(agreement("figure 5"), "agrees");
+    assert_eq!(agreement("figure 6"), "partly");
+    assert_eq!(agreement("largest leak held"), "differs");
+    // What an independent implementation of the plant found: 37 L/min at the peak of the largest leak, and the mean command there.
+    let near = |value: &Value, expected: f64, within: f64| {
+        let value = value.as_f64().unwrap();
+        assert!((value - expected).abs() <= within, "{value}, not {expected}");
+    };
+    let largest = study["leak_rates"].as_array().unwrap().last().unwrap();
+    near(&largest["peak_lpm"], 37.0, 0.5);
+    let command = study["cycles"].as_array().unwrap().last().unwrap()["command"].as_array().unwrap();
+    let mean = command.iter().map(|value| value.as_f64().unwrap()).sum::<f64>() / command.len() as f64;
+    near(&mean.into(), -0.1024, 2e-4);
+    // 0.6 L/min through C_d A √(2 Δp / ρ) at 7 MPa.
+    let area = 0.6 / 60_000.0 / (0.7 * (2.0f64 * 7e6 / 870.0).sqrt());
+    near(&study["holding"]["article"]["leak_area_m2"], area, 1e-12);
+    // On its own press the article's five features do, on others of the series they do not.
+    let error = |ensemble: &str, machines: &str| {
+        let lines = study["ensembles"]["accuracy"].as_array().unwrap();
+        let of = |line: &&Value| {
+            line["ensemble"] == ensemble && line["machines"] == machines && line["noise"] == 0.001
+        };
+        lines.iter().find(of).unwrap()["median_relative_error"][1].as_f64().unwrap()
+    };
+    assert!(error("article", "press") < 0.03 && error("article", "series") > 0.1);
+    assert!(error("seepd", "series") < 0.03);
+    let curves = study["features"]["curves"].as_array().unwrap();
+    assert_eq!(curves.len(), 5 + 2);
+    assert!(curves[2]["name"] == "skewness" && curves[2]["net_share"].as_f64().unwrap() < 0.5);
 }

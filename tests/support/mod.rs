@@ -31,6 +31,18 @@ pub(crate) fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
+/// Names of the program's commands, as its help lists them.
+pub(crate) fn commands() -> Vec<String> {
+    let help = stdout(&seepd(["--help"]));
+    let list = help.split("Commands:\n").nth(1).and_then(|rest| rest.split("\n\n").next()).expect("commands");
+    let names = list.lines().filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    names
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|name| *name != "help")
+        .map(str::to_owned)
+        .collect()
+}
+
 /// Simulates a log.
 pub(crate) fn simulate(out: &Path, more: &[&str]) {
     let mut arguments = vec!["simulate", "--out", out.to_str().expect("UTF-8")];

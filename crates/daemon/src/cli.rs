@@ -33,6 +33,9 @@ enum Command {
     /// Train a model on a simulated machine
     #[cfg(feature = "train")]
     Train(commands::train::TrainArguments),
+    /// Make the source article's figures again, as one HTML page
+    #[cfg(feature = "study")]
+    Study(commands::study::StudyArguments),
     /// Read logs (MCAP, CSV, candump): leak by cycle, flags, summary
     Replay(commands::replay::ReplayArguments),
     /// Show what a log holds and propose the mapping that reads it
@@ -63,6 +66,8 @@ pub fn main() -> ExitCode {
         Command::Simulate(arguments) => commands::simulate::run(arguments),
         #[cfg(feature = "train")]
         Command::Train(arguments) => commands::train::run(arguments),
+        #[cfg(feature = "study")]
+        Command::Study(arguments) => commands::study::run(arguments),
         Command::Replay(arguments) => commands::replay::run(arguments),
         Command::Inspect(arguments) => commands::inspect::run(arguments),
         Command::Check(arguments) => commands::check::run(arguments),

@@ -111,7 +111,7 @@ fn lead_ticks(spec: &MachineSpec) -> u64 {
 }
 
 /// Ticks of an observation's recording before the cycle of interest. The start varies by a bin, as it does in logs.
-pub(crate) fn lead(observation: &Observation) -> usize {
+pub fn lead(observation: &Observation) -> usize {
     (lead_ticks(&observation.spec) + observation.stream % 50) as usize
 }
 
@@ -141,22 +141,27 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
 }
 
 /// What reading needs that is not in the file's form.
-pub(crate) struct Reading<'m> {
-    pub(crate) cycle: &'m Cycle,
-    pub(crate) phases: &'m [Phase],
-    pub(crate) sample_rate_hz: f64,
-    pub(crate) projections: &'m [Projection<'m>],
+#[derive(Debug, Clone, Copy)]
+pub struct Reading<'m> {
+    /// The duty cycle.
+    pub cycle: &'m Cycle,
+    /// Its phases, from [`Cycle::phase_list`].
+    pub phases: &'m [Phase],
+    /// Samples a second, Hz.
+    pub sample_rate_hz: f64,
+    /// Projections; with any, if only an empty one, cycles are binned.
+    pub projections: &'m [Projection<'m>],
 }
 
 impl<'m> Reading<'m> {
     /// The definition; with a projection, if only an empty one, cycles are binned.
-    pub(crate) fn definition(&self) -> CycleDefinition<'m> {
+    pub fn definition(&self) -> CycleDefinition<'m> {
         self.cycle.definition(self.sample_rate_hz, self.phases, self.projections)
     }
 
     /// The statistics of the one cycle in a recorded command, with measurement noise added; `None` where the
     /// monitor's own segmentation does not find it.
-    pub(crate) fn read(
+    pub fn read(
         &self,
         commands: &[f64],
         filter: Option<Kalman>,

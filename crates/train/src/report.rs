@@ -5,6 +5,7 @@ use seepd_features::Kalman;
 use seepd_model::Model;
 use seepd_model::schema::Transform;
 use seepd_sim::noise::Noise;
+use serde::Serialize;
 
 use crate::dataset::{self, LEAK_RANGE_M2, Observation, Reading};
 use crate::forest::{Forest, Growth, predict};
@@ -14,7 +15,7 @@ use crate::train::{ARTICLE_NOISE, Case, Features, Settings, grow_like, noise_of}
 pub const NOISE_LEVELS: [f64; 5] = [0.001, 0.003, 0.005, 0.007, 0.01];
 
 /// Accuracy at one noise level.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Accuracy {
     /// Standard deviation of the command's noise.
     pub noise: f64,
@@ -35,7 +36,7 @@ pub struct Accuracy {
 }
 
 /// A range of areas.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Decade {
     /// Lower end, m².
     pub from_m2: f64,
@@ -48,7 +49,7 @@ pub struct Decade {
 }
 
 /// The noise table's line: learned at the article's noise, tested at another.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct NoiseLine {
     /// Standard deviation of the command's noise in the test.
     pub noise: f64,
@@ -62,7 +63,7 @@ pub struct NoiseLine {
 }
 
 /// Everything that was measured.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
     /// The model at the article's noise.
     pub accuracy: Accuracy,

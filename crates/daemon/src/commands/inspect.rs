@@ -9,6 +9,7 @@ use clap::Args;
 use crate::can::dbc::Dbc;
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
+use crate::progress::byte_bar;
 use crate::sink::terminal::print;
 use crate::source::survey::{LogSurvey, survey};
 
@@ -41,8 +42,11 @@ pub struct InspectArguments {
 pub fn run(arguments: &InspectArguments) -> Result<Outcome, Failure> {
     let file = File::open(&arguments.log).map_err(|error| Failure::reading(&arguments.log, &error))?;
     let name = arguments.log.display().to_string();
+    let bytes = file.metadata().map_or(0, |facts| facts.len());
+    let bar = byte_bar(bytes, "inspecting");
     let dbc = arguments.dbc.as_deref().map(Dbc::read).transpose()?;
-    let found = survey(file, &name, &arguments.time_column, dbc.as_ref())?;
+    let found = survey(bar.wrap_read(file), &name, &arguments.time_column, dbc.as_ref())?;
+    bar.finish_and_clear();
     if arguments.json {
         let text = serde_json::to_string_pretty(&found).map_err(|error| {
             Failure::new(Code::Internal, format!("writing the overview as JSON: {error}"))

@@ -8,5 +8,7 @@ pub mod replay;
 pub mod shell;
 #[cfg(feature = "simulate")]
 pub mod simulate;
+#[cfg(feature = "study")]
+pub mod study;
 #[cfg(feature = "train")]
 pub mod train;

@@ -8,6 +8,7 @@ use clap::Args;
 use seepd_train::report::{Accuracy, Report};
 use seepd_train::train::Stage;
 use seepd_train::{Settings, Spread, TrainError, Trained};
+use serde::Serialize;
 
 use super::simulate::read_plant;
 use crate::cli::Outcome;
@@ -31,6 +32,9 @@ pub struct TrainArguments {
     /// Write the observations that were learned from as CSV (features, leak_area_m2), for trees of other tools
     #[arg(long, value_name = "FILE")]
     data: Option<PathBuf>,
+    /// Print the report as one JSON object
+    #[arg(long)]
+    json: bool,
     /// Plant file instead of the nominal press
     #[arg(long, value_name = "FILE")]
     plant: Option<PathBuf>,
@@ -104,10 +108,39 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
         write_data(path, &trained).map_err(|error| Failure::writing(path, error))?;
     }
     let mut report = Vec::new();
-    print_report(&mut report, arguments, &trained)
-        .map_err(|error| Failure::writing("standard output".as_ref(), error))?;
+    if arguments.json {
+        let told = JsonReport {
+            schema: "seepd.training/1",
+            model: arguments.out.display().to_string(),
+            trees: trained.model.ensemble().trees(),
+            nodes: trained.model.ensemble().nodes(),
+            features: trained.model.feature_names(),
+            out_of_bag_rms: trained.found.out_of_bag_rms,
+            report: &trained.report,
+        };
+        serde_json::to_writer(&mut report, &told)
+            .map_err(|error| Failure::new(Code::Internal, format!("writing the report as JSON: {error}")))?;
+        report.push(b'\n');
+    } else {
+        print_report(&mut report, arguments, &trained)
+            .map_err(|error| Failure::writing("standard output".as_ref(), error))?;
+    }
     print(&report)?;
     Ok(Outcome::Good)
+}
+
+/// `seepd.training/1`: what was trained and what it is worth on machines that it has not seen.
+#[derive(Serialize)]
+struct JsonReport<'a> {
+    schema: &'static str,
+    model: String,
+    trees: usize,
+    nodes: usize,
+    features: &'a [String],
+    /// In ln(area + offset).
+    out_of_bag_rms: f64,
+    #[serde(flatten)]
+    report: &'a Report,
 }
 
 fn write_data(path: &Path, trained: &Trained) -> Result<(), csv::Error> {

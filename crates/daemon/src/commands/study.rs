@@ -1,0 +1,55 @@
+//! `seepd study`: the source article again.
+
+use std::fs;
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::cli::Outcome;
+use crate::config::Config;
+use crate::failure::{Code, Failure};
+use crate::html::study::StudyPage;
+use crate::progress::progress_bar;
+use crate::sink::terminal::print;
+
+/// Makes the source article's figures 2 and 5 to 9 again on the corrected plant, compares its ensemble with the program's, and
+/// finds the largest leak that the controller holds. Each figure says whether it agrees with the article, and where not, why.
+#[derive(Debug, Args)]
+#[command(
+    after_help = "Examples:\n  seepd study --out study.html\n  seepd study --out study.html --json | jq .holding.largest"
+)]
+pub struct StudyArguments {
+    /// Page to write
+    #[arg(long, default_value = "study.html", value_name = "FILE")]
+    out: PathBuf,
+    /// Print the figures' numbers as one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Seed of machines, noise, trees and embeddings
+    #[arg(long, default_value_t = 1, value_name = "S")]
+    seed: u64,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure`] where the page cannot be written.
+pub fn run(arguments: &StudyArguments) -> Result<Outcome, Failure> {
+    let model = Config::default().load_model()?;
+    let bar = progress_bar(seepd_study::STEPS as u64, "studying");
+    bar.enable_steady_tick(std::time::Duration::from_millis(200));
+    let study = seepd_study::run(&model, arguments.seed, &mut |done| bar.set_position(done as u64))
+        .map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
+    bar.finish_and_clear();
+    let page = StudyPage { study: &study };
+    fs::write(&arguments.out, page.render()).map_err(|error| Failure::writing(&arguments.out, error))?;
+    if arguments.json {
+        let text = serde_json::to_string(&study)
+            .map_err(|error| Failure::new(Code::Internal, format!("writing the study as JSON: {error}")))?;
+        print(format!("{text}\n").as_bytes())?;
+    } else {
+        print(page.verdicts().as_bytes())?;
+        print(format!("\npage: {}\n", arguments.out.display()).as_bytes())?;
+    }
+    Ok(Outcome::Good)
+}
