@@ -54,3 +54,10 @@ fn changelog_and_readme_name_every_command() {
         assert!(told, "{command}");
     }
 }
+
+#[test]
+fn effects_are_documented_as_the_catalogue_has_them() {
+    let text = fs::read_to_string(root().join("docs/effects.md")).unwrap();
+    let listed = support::stdout(&support::seepd(["simulate", "--list-effects"]));
+    assert!(text == listed, "write it anew: seepd simulate --list-effects > docs/effects.md");
+}

@@ -32,9 +32,9 @@ impl Default for Controller {
 /// The controller of one machine or of several in lanes.
 #[derive(Debug, Clone)]
 pub(crate) struct Pid<T> {
-    kp: T,
-    ki_period: T,
-    kd_per_period: T,
+    pub(crate) kp: T,
+    pub(crate) ki_period: T,
+    pub(crate) kd_per_period: T,
 }
 
 /// What the controller remembers from tick to tick.

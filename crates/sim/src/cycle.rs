@@ -126,6 +126,8 @@ pub struct Schedule {
 pub struct Instant {
     /// Number of the turn, from 0.
     pub turn: usize,
+    /// Time in the duty cycle as planned, s.
+    pub at_s: f64,
     /// Demand, m.
     pub demand_m: f64,
     /// Load at the tick, N.
@@ -185,6 +187,7 @@ impl Iterator for Schedule {
         let of = self.at(turn);
         Some(Instant {
             turn,
+            at_s: tick as f64 * self.period_s / of.stretch,
             demand_m: self.cycle.demand_m(tick as f64 * self.period_s / of.stretch),
             load_n: self.load_n(turn, tick),
             load_end_n: self.load_n(self.turn, self.tick),

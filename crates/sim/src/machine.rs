@@ -2,7 +2,7 @@
 
 use crate::controller::{Pid, PidState};
 use crate::cycle::Instant;
-use crate::effects::{self, Law, Substep};
+use crate::effects::{self, Constants, Law, Sensing, Substep};
 use crate::plant::{ActingLaws, Drive, Plant, State};
 use crate::real::Real;
 use crate::spec::MachineSpec;
@@ -18,6 +18,8 @@ pub struct Input<T> {
     pub load_end: T,
     /// Leak area, m².
     pub a_leak: T,
+    /// Time in the duty cycle, s.
+    pub at: T,
 }
 
 impl<T: Real> Input<T> {
@@ -30,6 +32,7 @@ impl<T: Real> Input<T> {
             load: T::from_lanes(|lane| at(lane).load_n),
             load_end: T::from_lanes(|lane| at(lane).load_end_n),
             a_leak: T::from_lanes(|lane| at(lane).leak_area_m2),
+            at: T::from_lanes(|lane| at(lane).at_s),
         }
     }
 }
@@ -64,6 +67,8 @@ pub struct Machine<T: Real> {
     plant: Plant<T>,
     pid: Pid<T>,
     laws: Vec<Box<dyn Law<T>>>,
+    /// Whether a law has states of its own.
+    has_states: bool,
     steps: usize,
     period: T,
     dt: T,
@@ -91,7 +96,7 @@ impl<T: Real> Machine<T> {
         let controllers: Vec<_> = specs.iter().map(|spec| &spec.controller).collect();
         let steps = specs[0].controller.steps_per_period;
         let period = T::from_lanes(|lane| of(lane).controller.period_s);
-        let laws = effects::ALL
+        let laws: Vec<Box<dyn Law<T>>> = effects::ALL
             .iter()
             .filter_map(|effect| {
                 let values: Vec<T> = (0..effect.parameters().len())
@@ -100,13 +105,19 @@ impl<T: Real> Machine<T> {
                 T::law(*effect, &values)
             })
             .collect();
+        let (mut plant, mut pid) = (Plant::new(&plants), Pid::new(&controllers));
+        let mut dt = period / T::splat(steps as f64);
+        for law in &laws {
+            law.adjust(&mut Constants { plant: &mut plant, pid: &mut pid, dt: &mut dt });
+        }
         Machine {
-            plant: Plant::new(&plants),
-            pid: Pid::new(&controllers),
+            plant,
+            pid,
+            has_states: laws.iter().any(|law| law.has_states()),
             laws,
             steps,
             period,
-            dt: period / T::splat(steps as f64),
+            dt,
             start: (
                 T::from_lanes(|lane| of(lane).cycle.start_position_m()),
                 T::from_lanes(|lane| of(lane).cycle.load_n(0.0)),
@@ -129,7 +140,11 @@ impl<T: Real> Machine<T> {
     /// One controller tick: measure, compute the command, record, and run the plant to the next tick.
     #[inline(always)]
     pub fn tick(&self, state: &mut MachineState<T>, input: &Input<T>) -> Record<T> {
-        let position = state.plant.x;
+        let mut position = state.plant.x;
+        let sensing = Sensing { period: self.period };
+        for (law, memory) in self.laws.iter().zip(&mut state.memory) {
+            position = law.sense(memory, position, &sensing);
+        }
         let command = self.pid.tick(&mut state.pid, input.demand, position);
         let record = Record {
             command,
@@ -161,9 +176,12 @@ impl<T: Real> Machine<T> {
                 u = law.spool(memory, u, &substep);
             }
             let load_end = load + load_step;
-            let drive = Drive { u, load, load_end, a_leak: input.a_leak };
+            let drive = Drive { u, load, load_end, a_leak: input.a_leak, at: input.at };
             let acting = ActingLaws { laws: &self.laws, memory: &state.memory };
             let next = self.plant.rk4(&state.plant, &drive, self.dt, &acting);
+            if self.has_states {
+                self.plant.advance_laws(&state.plant, &drive, self.dt, &self.laws, &mut state.memory);
+            }
             state.plant = cavitation_held(&next, &mut state.clamped_pressures);
             load = load_end;
         }

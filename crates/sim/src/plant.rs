@@ -18,7 +18,7 @@
 use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
 
-use crate::effects::{Law, Terms};
+use crate::effects::{Law, Moment, Openings, Softening, Terms};
 use crate::real::Real;
 
 /// RK4 is stable on the negative real axis up to this product of step and eigenvalue (Hairer & Wanner,
@@ -146,28 +146,28 @@ impl PlantParameters {
 /// The plant with its derived coefficients, of one machine or of several in lanes.
 #[derive(Debug, Clone)]
 pub struct Plant<T> {
-    beta: T,
-    q_pump: T,
-    beta_over_v_s: T,
-    beta_over_v_3: T,
-    p_prv: T,
-    g_prv: T,
-    p_r: T,
-    k_line: T,
-    k_v: T,
-    a_cap: T,
-    a_ann: T,
-    stroke: T,
-    v_01: T,
-    v_02: T,
-    mass_inverse: T,
-    b_v: T,
-    g_cyl: T,
-    g_vlv: T,
-    g_vlv2: T,
-    dp_t_squared: T,
-    k_leak_per_area: T,
-    load_scale: T,
+    pub(crate) beta: T,
+    pub(crate) q_pump: T,
+    pub(crate) beta_over_v_s: T,
+    pub(crate) beta_over_v_3: T,
+    pub(crate) p_prv: T,
+    pub(crate) g_prv: T,
+    pub(crate) p_r: T,
+    pub(crate) k_line: T,
+    pub(crate) k_v: T,
+    pub(crate) a_cap: T,
+    pub(crate) a_ann: T,
+    pub(crate) stroke: T,
+    pub(crate) v_01: T,
+    pub(crate) v_02: T,
+    pub(crate) mass_inverse: T,
+    pub(crate) b_v: T,
+    pub(crate) g_cyl: T,
+    pub(crate) g_vlv: T,
+    pub(crate) g_vlv2: T,
+    pub(crate) dp_t_squared: T,
+    pub(crate) k_leak_per_area: T,
+    pub(crate) load_scale: T,
 }
 
 /// The plant's states.
@@ -223,6 +223,16 @@ pub struct Drive<T> {
     pub load_end: T,
     /// Leak area, m².
     pub a_leak: T,
+    /// Time in the duty cycle, s.
+    pub at: T,
+}
+
+impl<T: Real> Drive<T> {
+    /// The plant in that state under this drive.
+    #[inline(always)]
+    fn moment<'a>(&self, plant: &'a Plant<T>, state: &'a State<T>, load: T) -> Moment<'a, T> {
+        Moment { state, plant, spool: self.u, load, a_leak: self.a_leak, at: self.at }
+    }
 }
 
 /// The laws that act within the plant's equations, with their memories.
@@ -233,7 +243,7 @@ pub(crate) struct ActingLaws<'a, T: Real> {
 
 /// `k · dp / (dp² + dp_t²)^¼`: the signed square-root law, linear below `dp_t`.
 #[inline(always)]
-fn sq<T: Real>(k: T, dp: T, dp_t_squared: T) -> T {
+pub(crate) fn sq<T: Real>(k: T, dp: T, dp_t_squared: T) -> T {
     k * dp / (dp * dp + dp_t_squared).sqrt().sqrt()
 }
 
@@ -286,10 +296,18 @@ impl<T: Real> Plant<T> {
         sq(self.k_leak_per_area * a_leak, dp, self.dp_t_squared) + dp * self.g_cyl
     }
 
-    /// The equations: rates of the six states.
+    /// The valve's coefficient at both ports, without laws, m³/s/√Pa.
     #[inline(always)]
-    fn rates(&self, state: &State<T>, u: T, load: T, a_leak: T, acting: &ActingLaws<'_, T>) -> State<T> {
-        let State { p_s, p_3, p_1, p_2, x, v } = *state;
+    fn planned_openings(&self, spool: T) -> Openings<T> {
+        let opening = self.k_v * spool.abs();
+        Openings { cap: opening, rod: opening }
+    }
+
+    /// The balances of the nominal plant: net flows into the four volumes, net force on the mass.
+    #[inline(always)]
+    fn balances(&self, moment: &Moment<'_, T>, openings: &Openings<T>) -> Terms<T> {
+        let State { p_s, p_3, p_1, p_2, v, .. } = *moment.state;
+        let u = moment.spool;
         let zero = T::splat(0.0);
 
         let q_line = sq(self.k_line, p_s - p_3, self.dp_t_squared);
@@ -297,33 +315,85 @@ impl<T: Real> Plant<T> {
 
         // Extending, the cap port meets the inlet and the rod port the return; retracting the other way.
         // The law is odd in dp, so that flow out is flow in at the negated difference.
-        let opening = self.k_v * u.abs();
-        let q_1 = sq(opening, u.where_positive(p_3 - p_1, self.p_r - p_1), self.dp_t_squared);
-        let q_2 = sq(opening, u.where_positive(self.p_r - p_2, p_3 - p_2), self.dp_t_squared);
+        let q_1 = sq(openings.cap, u.where_positive(p_3 - p_1, self.p_r - p_1), self.dp_t_squared);
+        let q_2 = sq(openings.rod, u.where_positive(self.p_r - p_2, p_3 - p_2), self.dp_t_squared);
         let q_in = u.where_positive(q_1, q_2);
 
-        let q_leak = self.leak_flow(state, a_leak);
+        let q_leak = self.leak_flow(moment.state, moment.a_leak);
         let q_32 = (p_3 - p_2) * self.g_vlv2;
         let q_3r = (p_3 - self.p_r) * self.g_vlv;
 
-        let mut terms = Terms {
+        Terms {
             supply_flow: self.q_pump - q_line - q_prv,
             inlet_flow: q_line - q_in - q_3r - q_32,
             cap_flow: q_1 - self.a_cap * v - q_leak,
             rod_flow: q_2 + self.a_ann * v + q_leak + q_32,
-            force: self.a_cap * p_1 - self.a_ann * p_2 - self.b_v * v + load * self.load_scale,
-        };
-        for (law, memory) in acting.laws.iter().zip(acting.memory) {
-            law.act(memory, state, &mut terms);
+            force: self.a_cap * p_1 - self.a_ann * p_2 - self.b_v * v + moment.load * self.load_scale,
         }
+    }
 
+    /// The balances with what the laws change.
+    #[inline(always)]
+    fn balances_with(&self, moment: &Moment<'_, T>, acting: &ActingLaws<'_, T>) -> Terms<T> {
+        let mut openings = self.planned_openings(moment.spool);
+        for law in acting.laws {
+            law.open(moment, &mut openings);
+        }
+        let mut terms = self.balances(moment, &openings);
+        for (law, memory) in acting.laws.iter().zip(acting.memory) {
+            law.act(memory, moment, &mut terms);
+        }
+        terms
+    }
+
+    /// Rates of the six states from the balances.
+    #[inline(always)]
+    fn rates_of(&self, state: &State<T>, terms: &Terms<T>) -> State<T> {
         State {
             p_s: self.beta_over_v_s * terms.supply_flow,
             p_3: self.beta_over_v_3 * terms.inlet_flow,
-            p_1: self.beta * terms.cap_flow / (self.v_01 + self.a_cap * x),
-            p_2: self.beta * terms.rod_flow / (self.v_02 + self.a_ann * (self.stroke - x)),
-            x: v,
+            p_1: self.beta * terms.cap_flow / (self.v_01 + self.a_cap * state.x),
+            p_2: self.beta * terms.rod_flow / (self.v_02 + self.a_ann * (self.stroke - state.x)),
+            x: state.v,
             v: self.mass_inverse * terms.force,
+        }
+    }
+
+    /// The equations: rates of the six states.
+    #[inline(always)]
+    fn rates(&self, moment: &Moment<'_, T>, acting: &ActingLaws<'_, T>) -> State<T> {
+        if acting.laws.is_empty() {
+            // Nothing here is handed to a law by reference, so that all of it stays in registers.
+            return self.rates_of(moment.state, &self.balances(moment, &self.planned_openings(moment.spool)));
+        }
+        let rates = self.rates_of(moment.state, &self.balances_with(moment, acting));
+        let one = T::splat(1.0);
+        let mut softening = Softening { supply: one, inlet: one, cap: one, rod: one };
+        for law in acting.laws {
+            law.soften(moment, &mut softening);
+        }
+        State {
+            p_s: rates.p_s / softening.supply,
+            p_3: rates.p_3 / softening.inlet,
+            p_1: rates.p_1 / softening.cap,
+            p_2: rates.p_2 / softening.rod,
+            ..rates
+        }
+    }
+
+    /// Advances the laws' own states over a step that begins at `state`.
+    pub(crate) fn advance_laws(
+        &self,
+        state: &State<T>,
+        drive: &Drive<T>,
+        dt: T,
+        laws: &[Box<dyn Law<T>>],
+        memory: &mut [Vec<T>],
+    ) {
+        let moment = drive.moment(self, state, drive.load);
+        let terms = self.balances_with(&moment, &ActingLaws { laws, memory });
+        for (law, memory) in laws.iter().zip(memory) {
+            law.advance(memory, &moment, &terms, dt);
         }
     }
 
@@ -338,7 +408,7 @@ impl<T: Real> Plant<T> {
     ) -> State<T> {
         let half = dt * T::splat(0.5);
         let load_mid = (drive.load + drive.load_end) * T::splat(0.5);
-        let rates = |at: &State<T>, load: T| self.rates(at, drive.u, load, drive.a_leak, acting);
+        let rates = |at: &State<T>, load: T| self.rates(&drive.moment(self, at, load), acting);
         let k1 = rates(state, drive.load);
         let k2 = rates(&state.advanced(&k1, half), load_mid);
         let k3 = rates(&state.advanced(&k2, half), load_mid);
@@ -382,7 +452,9 @@ impl Plant<f64> {
             let rate = |sign: f64| {
                 let mut moved = at;
                 moved[column] += sign * step[column];
-                self.rates(&State::from_array(moved), 0.0, 0.0, 0.0, &none).to_array()[row]
+                let drive = Drive { u: 0.0, load: 0.0, load_end: 0.0, a_leak: 0.0, at: 0.0 };
+                let state = State::from_array(moved);
+                self.rates(&drive.moment(self, &state, 0.0), &none).to_array()[row]
             };
             (rate(1.0) - rate(-1.0)) / (2.0 * step[column])
         });

@@ -5,7 +5,7 @@ use seepd_sim::plant::{Drive, Plant};
 use seepd_sim::{Input, Machine, MachineSpec, PlantParameters, Schedule, State};
 
 fn closed(load: f64) -> Drive<f64> {
-    Drive { u: 0.0, load, load_end: load, a_leak: 0.0 }
+    Drive { u: 0.0, load, load_end: load, a_leak: 0.0, at: 0.0 }
 }
 
 /// Without piston areas the mass falls freely against viscous friction: v = F/b (1 − e^(−b t/M)). RK4's error after
@@ -167,7 +167,7 @@ fn stored(p: &PlantParameters, a: &State<f64>, b: &State<f64>) -> f64 {
 #[test]
 fn analytic_fourth_order_convergence() {
     let plant = Plant::<f64>::new(&[&PlantParameters::default()]);
-    let drive = Drive { u: 0.15, load: -2e3, load_end: -2e3, a_leak: 1e-6 };
+    let drive = Drive { u: 0.15, load: -2e3, load_end: -2e3, a_leak: 1e-6, at: 0.0 };
     let run = |from: State<f64>, h: f64, t: f64| {
         (0..(t / h).round() as usize).fold(from, |state, _| plant.step(&state, &drive, h))
     };
@@ -188,7 +188,7 @@ fn analytic_fourth_order_convergence() {
 fn analytic_end_stops_are_inelastic() {
     let plant = Plant::<f64>::new(&[&PlantParameters::default()]);
     let mut state = plant.rest(0.49, 0.0);
-    let push = |u| Drive { u, load: 0.0, load_end: 0.0, a_leak: 0.0 };
+    let push = |u| Drive { u, load: 0.0, load_end: 0.0, a_leak: 0.0, at: 0.0 };
     for _ in 0..5000 {
         state = plant.step(&state, &push(0.5), 1e-4);
         assert!(state.x <= 0.5);

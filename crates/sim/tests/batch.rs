@@ -4,6 +4,7 @@
 
 use seepd_sim::batch::{Job, commands};
 use seepd_sim::cycle::Turn;
+use seepd_sim::effects;
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
 use seepd_sim::{Input, Machine, MachineSpec, PlantParameters, Schedule};
@@ -20,15 +21,17 @@ fn jobs(count: usize) -> Vec<Job> {
                     *value *= noise.factor(0.05);
                 }
             }
-            for (effect, high) in [
-                ("valve_deadband.half_width", 0.05),
-                ("command_delay.delay_s", 0.01),
-                ("coulomb_friction.force_n", 1e3),
-                ("external_leak.rod_m3_per_s_pa", 1e-12),
-            ] {
+            for effect in effects::ALL {
                 // Lanes with and without each effect stand side by side.
-                if noise.uniform(0.0, 1.0) < 0.6 {
-                    spec.set_effect(&format!("{effect}={}", noise.uniform(0.0, high))).unwrap();
+                if noise.uniform(0.0, 1.0) < 0.3 {
+                    for parameter in effect.parameters() {
+                        let (low, high) = parameter.range;
+                        // Times within the test; else anywhere in the range.
+                        let high = if parameter.unit == "s" { high.min(5.0) } else { high };
+                        let value = noise.uniform(low, high);
+                        let assignment = format!("{}.{}={value}", effect.key(), parameter.name);
+                        spec.set_effect(&assignment).unwrap();
+                    }
                 }
             }
             let turns = vec![

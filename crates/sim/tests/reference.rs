@@ -62,7 +62,7 @@ fn reference_stiff_solver_within_1e_5_of_range() {
     let (u, leak, dt) = (0.2, 1e-6, 1e-4);
     let load = |t: f64| -2e3 - 8e3 * t;
     // From a steady extension: the step into it from rest is sharper than a controller ever makes it.
-    let steady = Drive { u, load: load(0.0), load_end: load(0.0), a_leak: leak };
+    let steady = Drive { u, load: load(0.0), load_end: load(0.0), a_leak: leak, at: 0.0 };
     let start = (0..15_000)
         .fold(plant.rest(0.12, load(0.0)), |state, _| plant.step(&state, &steady, 1e-5))
         .to_array();
@@ -96,7 +96,7 @@ fn reference_stiff_solver_within_1e_5_of_range() {
     let mut ours = Vec::new();
     for step in 0..4000 {
         let t = f64::from(step) * dt;
-        let drive = Drive { u, load: load(t), load_end: load(t + dt), a_leak: leak };
+        let drive = Drive { u, load: load(t), load_end: load(t + dt), a_leak: leak, at: 0.0 };
         state = plant.step(&state, &drive, dt);
         if (step + 1) % 100 == 0 {
             ours.push(state.to_array());

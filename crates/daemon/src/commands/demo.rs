@@ -58,13 +58,9 @@ pub fn run(arguments: &DemoArguments) -> Result<Outcome, Failure> {
     let turns = wear(arguments);
     let spec = MachineSpec::default();
     say(&format!("simulating {} cycles of a press whose seal wears …", arguments.cycles))?;
-    let simulate = SimulateArguments {
-        out: log.clone(),
-        seed: arguments.seed,
-        command_only: true,
-        ..SimulateArguments::default()
-    };
-    write_log(&simulate, &spec, &turns)?;
+    let simulate =
+        SimulateArguments { seed: arguments.seed, command_only: true, ..SimulateArguments::default() };
+    write_log(&log, &simulate, &spec, &turns)?;
     say(&format!("replaying {} with the embedded model …\n", log.display()))?;
     let page = replay(&log, &spec, &turns[1..])?;
     print(&page)?;

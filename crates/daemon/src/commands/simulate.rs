@@ -16,6 +16,7 @@ use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::progress::{progress_bar, warn};
 use crate::sink::mcap::{ChunkCompression, McapSink, schema};
+use crate::sink::terminal::print;
 
 /// Writes the log (MCAP) of a simulated machine: signals on /axis/signals, the truth on /axis/truth.
 ///
@@ -27,8 +28,11 @@ use crate::sink::mcap::{ChunkCompression, McapSink, schema};
                         seepd simulate --out sticky.mcap --with valve_deadband.half_width=0.04 --with coulomb_friction.force_n=800")]
 pub struct SimulateArguments {
     /// Log to write
-    #[arg(long, value_name = "FILE")]
-    pub out: PathBuf,
+    #[arg(long, value_name = "FILE", required_unless_present = "list_effects")]
+    pub out: Option<PathBuf>,
+    /// Print every effect with its law, parameters, ranges and sources (Markdown), and simulate nothing
+    #[arg(long)]
+    pub list_effects: bool,
     /// Duty cycles to write
     #[arg(long, default_value_t = 24, value_name = "N")]
     pub cycles: usize,
@@ -82,7 +86,8 @@ pub struct SimulateArguments {
 impl Default for SimulateArguments {
     fn default() -> Self {
         SimulateArguments {
-            out: PathBuf::new(),
+            out: None,
+            list_effects: false,
             cycles: 24,
             leak_area: None,
             leak_step: None,
@@ -108,9 +113,16 @@ impl Default for SimulateArguments {
 /// # Errors
 /// [`Failure`] for arguments, plant file or output.
 pub fn run(arguments: &SimulateArguments) -> Result<Outcome, Failure> {
+    if arguments.list_effects {
+        print(seepd_sim::effects::reference().as_bytes())?;
+        return Ok(Outcome::Good);
+    }
     let spec = machine(arguments)?;
     let turns = turns(arguments, &spec)?;
-    write_log(arguments, &spec, &turns)?;
+    let Some(out) = &arguments.out else {
+        return Err(Failure::new(Code::Usage, "name the log to write: --out FILE"));
+    };
+    write_log(out, arguments, &spec, &turns)?;
     Ok(Outcome::Good)
 }
 
@@ -241,8 +253,12 @@ impl SignalsMessage {
 ///
 /// # Errors
 /// [`Failure`] where the log cannot be written or the simulation went out of bounds.
-pub fn write_log(arguments: &SimulateArguments, spec: &MachineSpec, turns: &[Turn]) -> Result<(), Failure> {
-    let path = &arguments.out;
+pub fn write_log(
+    path: &Path,
+    arguments: &SimulateArguments,
+    spec: &MachineSpec,
+    turns: &[Turn],
+) -> Result<(), Failure> {
     let writing = |error: McapError| Failure::writing(path, error);
     let file = File::create(path).map_err(|error| Failure::writing(path, error))?;
     let mut sink = McapSink::new(BufWriter::new(file), arguments.compression).map_err(writing)?;

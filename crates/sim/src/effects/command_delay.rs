@@ -1,6 +1,6 @@
 //! Command delay: dead time between controller and spool, of a bus cycle or a remote input/output station.
 
-use super::{Effect, Equation, Law, Parameter, Substep, built_by};
+use super::{About, Effect, Equation, Law, Parameter, Substep, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -43,26 +43,20 @@ impl<T: Real> Law<T> for Delay<T> {
 }
 
 impl Effect for CommandDelay {
-    fn key(&self) -> &'static str {
-        "command_delay"
-    }
-    fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter {
-            name: "delay_s",
-            unit: "s",
-            neutral: 0.0,
-            range: (0.0, 0.02),
-            source: "two cycles of common field buses at 1–10 ms",
-        }]
-    }
-    fn law_text(&self) -> &'static str {
-        "spool(t) = u(t − delay_s)"
-    }
-    fn signature(&self) -> &'static str {
-        "position lags the simulation by a constant time in every stroke; nothing changes in the holds"
-    }
-    fn equation(&self) -> Equation {
-        Equation::Cap
+    fn about(&self) -> &'static About {
+        &About {
+            key: "command_delay",
+            parameters: &[Parameter {
+                name: "delay_s",
+                unit: "s",
+                neutral: 0.0,
+                range: (0.0, 0.02),
+                source: "two cycles of common field buses at 1–10 ms",
+            }],
+            law: "spool(t) = u(t − delay_s)",
+            signature: "position lags the simulation by a constant time in every stroke; nothing changes in the holds",
+            equation: Equation::Cap,
+        }
     }
     built_by!(Delay::new);
 }

@@ -1,7 +1,6 @@
 //! Coulomb friction of seals and guides: a force against the motion that does not depend on its speed.
 
-use super::{Effect, Equation, Law, Parameter, Terms, built_by};
-use crate::plant::State;
+use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -23,32 +22,27 @@ impl<T: Real> Coulomb<T> {
 }
 
 impl<T: Real> Law<T> for Coulomb<T> {
-    fn act(&self, _memory: &[T], state: &State<T>, terms: &mut Terms<T>) {
+    fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
+        let state = moment.state;
         terms.force -= self.force * (state.v * T::splat(1.0 / TRANSITION_SPEED_M_PER_S)).map(libm::tanh);
     }
 }
 
 impl Effect for CoulombFriction {
-    fn key(&self) -> &'static str {
-        "coulomb_friction"
-    }
-    fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter {
-            name: "force_n",
-            unit: "N",
-            neutral: 0.0,
-            range: (0.0, 5e3),
-            source: "Jelali & Kroll, Hydraulic Servo-systems (2003), ch. 4: to 10 % of the cylinder's force, 50 kN at 16 MPa",
-        }]
-    }
-    fn law_text(&self) -> &'static str {
-        "force −= force_n · tanh(v / 5 mm/s) (regularised Coulomb law)"
-    }
-    fn signature(&self) -> &'static str {
-        "pressure difference steps by force over area at every reversal; same size at every speed"
-    }
-    fn equation(&self) -> Equation {
-        Equation::Force
+    fn about(&self) -> &'static About {
+        &About {
+            key: "coulomb_friction",
+            parameters: &[Parameter {
+                name: "force_n",
+                unit: "N",
+                neutral: 0.0,
+                range: (0.0, 5e3),
+                source: "Jelali & Kroll, Hydraulic Servo-systems (2003), ch. 4: to 10 % of the cylinder's force, 50 kN at 16 MPa",
+            }],
+            law: "force −= force_n · tanh(v / 5 mm/s) (regularised Coulomb law)",
+            signature: "pressure difference steps by force over area at every reversal; same size at every speed",
+            equation: Equation::Force,
+        }
     }
     built_by!(Coulomb::new);
 }

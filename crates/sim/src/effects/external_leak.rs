@@ -1,7 +1,6 @@
 //! External leak: a weeping rod seal or fitting, chamber to ambient, laminar.
 
-use super::{Effect, Equation, Law, Parameter, Terms, built_by};
-use crate::plant::State;
+use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -20,7 +19,8 @@ impl<T: Real> Leak<T> {
 }
 
 impl<T: Real> Law<T> for Leak<T> {
-    fn act(&self, _memory: &[T], state: &State<T>, terms: &mut Terms<T>) {
+    fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
+        let state = moment.state;
         terms.cap_flow -= self.cap * state.p_1;
         terms.rod_flow -= self.rod * state.p_2;
     }
@@ -31,35 +31,29 @@ const RANGE: (f64, f64) = (0.0, 1e-11);
 const SOURCE: &str = "1e-11 m³/(s Pa) passes 6 L/min at 10 MPa, above which a machine is stopped on sight";
 
 impl Effect for ExternalLeak {
-    fn key(&self) -> &'static str {
-        "external_leak"
-    }
-    fn parameters(&self) -> &'static [Parameter] {
-        &[
-            Parameter {
-                name: "cap_m3_per_s_pa",
-                unit: "m3/(s Pa)",
-                neutral: 0.0,
-                range: RANGE,
-                source: SOURCE,
-            },
-            Parameter {
-                name: "rod_m3_per_s_pa",
-                unit: "m3/(s Pa)",
-                neutral: 0.0,
-                range: RANGE,
-                source: SOURCE,
-            },
-        ]
-    }
-    fn law_text(&self) -> &'static str {
-        "cap flow −= cap_m3_per_s_pa · p_1, rod flow −= rod_m3_per_s_pa · p_2 (laminar gap to ambient, gauge 0)"
-    }
-    fn signature(&self) -> &'static str {
-        "holds need a steady command towards the leaking chamber; that chamber's pressure sags"
-    }
-    fn equation(&self) -> Equation {
-        Equation::Rod
+    fn about(&self) -> &'static About {
+        &About {
+            key: "external_leak",
+            parameters: &[
+                Parameter {
+                    name: "cap_m3_per_s_pa",
+                    unit: "m3/(s Pa)",
+                    neutral: 0.0,
+                    range: RANGE,
+                    source: SOURCE,
+                },
+                Parameter {
+                    name: "rod_m3_per_s_pa",
+                    unit: "m3/(s Pa)",
+                    neutral: 0.0,
+                    range: RANGE,
+                    source: SOURCE,
+                },
+            ],
+            law: "cap flow −= cap_m3_per_s_pa · p_1, rod flow −= rod_m3_per_s_pa · p_2 (laminar gap to ambient, gauge 0)",
+            signature: "holds need a steady command towards the leaking chamber; that chamber's pressure sags",
+            equation: Equation::Rod,
+        }
     }
     built_by!(Leak::new);
 }

@@ -1,29 +1,132 @@
 //! The catalogue of effects: what a real machine has and the nominal plant lacks.
 //!
-//! One effect is one file and its line in [`ALL`]. An effect at its neutral value leaves the plant
-//! bit-identical. [`Effect`] describes and builds; the [`Law`] it builds acts, at one or more of two sites:
-//! between the controller's output and the spool ([`Law::spool`], once a plant step), or in the balances
-//! ([`Law::act`], at every evaluation of the equations).
+//! One effect is one file and its line in [`ALL`]. An effect at its neutral value leaves the plant bit-identical. [`Effect`]
+//! describes and builds; the [`Law`] it builds acts at one or more sites:
+//!
+//! - in the constants, once ([`Law::adjust`]);
+//! - between the true position and the measured one, once a controller tick ([`Law::sense`]);
+//! - between the controller's output and the spool, once a plant step ([`Law::spool`]);
+//! - in the balances, at every evaluation of the equations: openings of the valve ([`Law::open`]), flows and forces ([`Law::act`]),
+//!   compliance ([`Law::soften`]);
+//! - in states of its own, once a plant step ([`Law::advance`]).
 
+mod accumulator;
 mod command_delay;
+mod command_quantisation;
+mod controller_clock;
+mod controller_gains;
 mod coulomb_friction;
+mod cushioning;
+mod entrained_air;
 mod external_leak;
+mod hose_volume;
+mod load_bias;
+mod oil_viscosity;
+mod position_lag;
+mod position_quantisation;
+mod position_scale;
+mod position_sine;
+mod pressure_friction;
+mod pump_slip;
+mod return_back_pressure;
+mod shared_supply;
+mod spring_load;
+mod stribeck_friction;
+mod structure_compliance;
+mod turbulent_leak;
+mod valve_asymmetry;
+mod valve_bias;
 mod valve_deadband;
+mod valve_flow_shape;
+mod valve_hysteresis;
+mod valve_lag;
+mod valve_rate_limit;
+mod valve_wear;
 
-use crate::plant::State;
+use crate::controller::Pid;
+use crate::plant::{Plant, State};
 use crate::real::{Lanes, Real};
 
-/// Every effect, in the order of reports and of the generated documentation.
+/// Every effect, in the order in which signals run: command to spool, spool to flows, flows to forces, position to measurement. Laws act in
+/// this order; `structure_compliance` comes after the forces, which it divides.
 pub const ALL: &[&dyn Effect] = &[
-    &valve_deadband::ValveDeadband,
+    &command_quantisation::CommandQuantisation,
     &command_delay::CommandDelay,
+    &valve_hysteresis::ValveHysteresis,
+    &valve_rate_limit::ValveRateLimit,
+    &valve_lag::ValveLag,
+    &valve_bias::ValveBias,
+    &valve_deadband::ValveDeadband,
+    &valve_flow_shape::ValveFlowShape,
+    &valve_asymmetry::ValveAsymmetry,
+    &valve_wear::ValveWear,
+    &cushioning::Cushioning,
+    &return_back_pressure::ReturnBackPressure,
     &coulomb_friction::CoulombFriction,
+    &stribeck_friction::StribeckFriction,
+    &pressure_friction::PressureFriction,
+    &spring_load::SpringLoad,
+    &load_bias::LoadBias,
+    &structure_compliance::StructureCompliance,
     &external_leak::ExternalLeak,
+    &turbulent_leak::TurbulentLeak,
+    &entrained_air::EntrainedAir,
+    &hose_volume::HoseVolume,
+    &oil_viscosity::OilViscosity,
+    &pump_slip::PumpSlip,
+    &accumulator::Accumulator,
+    &shared_supply::SharedSupply,
+    &position_scale::PositionScale,
+    &position_sine::PositionSine,
+    &position_lag::PositionLag,
+    &position_quantisation::PositionQuantisation,
+    &controller_gains::ControllerGains,
+    &controller_clock::ControllerClock,
 ];
 
 /// The effect of that key, if the catalogue has it.
 pub fn find(key: &str) -> Option<&'static dyn Effect> {
     ALL.iter().copied().find(|effect| effect.key() == key)
+}
+
+/// The catalogue as a Markdown text: law, signature, and each parameter with unit, neutral value, range and source.
+pub fn reference() -> String {
+    let mut text = String::from(
+        "# Effects\n\nWhat the simulator can add to the nominal plant: in a plant file as a table `[effects.KEY]`, on the command line as \
+         `--with KEY.PARAMETER=VALUE`. An effect at its neutral value changes no bit. Written by `seepd simulate --list-effects`.\n",
+    );
+    for effect in ALL {
+        let about = effect.about();
+        text += &format!(
+            "\n## {}\n\nLaw: {}.\n\nSeen: {}. First disturbs: {}.\n\n| parameter | unit | neutral | range | source |\n|---|---|---|---|---|\n",
+            about.key,
+            about.law,
+            about.signature,
+            about.equation.name()
+        );
+        for parameter in about.parameters {
+            let (low, high) = parameter.range;
+            text += &format!(
+                "| `{}` | {} | {} | {} … {} | {} |\n",
+                parameter.name,
+                parameter.unit,
+                number(parameter.neutral),
+                number(low),
+                number(high),
+                parameter.source
+            );
+        }
+    }
+    text
+}
+
+fn number(value: f64) -> String {
+    if value == 0.0 || (1e-3..1e5).contains(&value.abs()) {
+        let text = format!("{value:.6}");
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        format!("{value:e}")
+    }
 }
 
 /// The balance that an effect disturbs first.
@@ -45,6 +148,21 @@ pub enum Equation {
     Sensor,
 }
 
+impl Equation {
+    /// Name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Equation::Supply => "supply",
+            Equation::Inlet => "inlet",
+            Equation::Cap => "cap",
+            Equation::Rod => "rod",
+            Equation::Force => "force",
+            Equation::Controller => "controller",
+            Equation::Sensor => "sensor",
+        }
+    }
+}
+
 /// A parameter of an effect.
 #[derive(Debug, Clone, Copy)]
 pub struct Parameter {
@@ -60,18 +178,25 @@ pub struct Parameter {
     pub source: &'static str,
 }
 
+/// What an effect is.
+#[derive(Debug)]
+pub struct About {
+    /// Key in files, on the command line and in reports.
+    pub key: &'static str,
+    /// Parameters in their order in `values`.
+    pub parameters: &'static [Parameter],
+    /// The law in a sentence, with its equation and source.
+    pub law: &'static str,
+    /// What it does to the signals, in words.
+    pub signature: &'static str,
+    /// The balance that it disturbs first.
+    pub equation: Equation,
+}
+
 /// An effect: its description, and the way to its law.
 pub trait Effect: Sync {
-    /// Key in files, on the command line and in reports.
-    fn key(&self) -> &'static str;
-    /// Parameters in their order in `values`.
-    fn parameters(&self) -> &'static [Parameter];
-    /// The law in a sentence, with its equation and source.
-    fn law_text(&self) -> &'static str;
-    /// What it does to the signals, in words.
-    fn signature(&self) -> &'static str;
-    /// The balance that it disturbs first.
-    fn equation(&self) -> Equation;
+    /// The description.
+    fn about(&self) -> &'static About;
     /// The law of one machine; `values` in the order of [`Effect::parameters`].
     fn scalar(&self, values: &[f64]) -> Box<dyn Law<f64>>;
     /// The law of several machines in lanes.
@@ -81,6 +206,25 @@ pub trait Effect: Sync {
     fn is_neutral(&self, values: &[f64]) -> bool {
         self.parameters().iter().zip(values).all(|(parameter, value)| *value == parameter.neutral)
     }
+    /// Key in files, on the command line and in reports.
+    fn key(&self) -> &'static str {
+        self.about().key
+    }
+    /// Parameters in their order in `values`.
+    fn parameters(&self) -> &'static [Parameter] {
+        self.about().parameters
+    }
+}
+
+/// What laws may change once, before anything runs.
+#[derive(Debug)]
+pub struct Constants<'a, T> {
+    /// The plant's coefficients.
+    pub plant: &'a mut Plant<T>,
+    /// The controller's coefficients.
+    pub(crate) pid: &'a mut Pid<T>,
+    /// Length of a plant step, s.
+    pub dt: &'a mut T,
 }
 
 /// Where a law is asked within a controller period.
@@ -96,6 +240,53 @@ pub struct Substep<T> {
     pub dt: T,
     /// Controller period, s.
     pub period: T,
+}
+
+/// What a law of sensing is told.
+#[derive(Debug, Clone, Copy)]
+pub struct Sensing<T> {
+    /// Controller period, s.
+    pub period: T,
+}
+
+/// The plant at one evaluation of its equations.
+#[derive(Debug, Clone, Copy)]
+pub struct Moment<'a, T> {
+    /// The states.
+    pub state: &'a State<T>,
+    /// The plant.
+    pub plant: &'a Plant<T>,
+    /// Spool position, share of full opening.
+    pub spool: T,
+    /// Load, N, before its scale.
+    pub load: T,
+    /// Leak area, m².
+    pub a_leak: T,
+    /// Time in the duty cycle, s.
+    pub at: T,
+}
+
+/// Coefficients of the valve's flows at its two ports under the present spool, m³/s/√Pa: the cap port meets the inlet while the spool is
+/// positive, else the return; the rod port the other way.
+#[derive(Debug, Clone, Copy)]
+pub struct Openings<T> {
+    /// Of the cap port.
+    pub cap: T,
+    /// Of the rod port.
+    pub rod: T,
+}
+
+/// How many times softer each volume is than planned, 1 or more.
+#[derive(Debug, Clone, Copy)]
+pub struct Softening<T> {
+    /// Supply node.
+    pub supply: T,
+    /// Valve inlet.
+    pub inlet: T,
+    /// Cap chamber.
+    pub cap: T,
+    /// Rod chamber.
+    pub rod: T,
 }
 
 /// The right-hand sides of the balances, before the division by compliance and mass.
@@ -120,13 +311,35 @@ pub trait Law<T: Real>: Send + Sync {
         0
     }
 
+    /// Whether it has states of its own, which [`Law::advance`] advances.
+    fn has_states(&self) -> bool {
+        false
+    }
+
+    /// Changes constants, once.
+    fn adjust(&self, _constants: &mut Constants<'_, T>) {}
+
+    /// The measured position at a controller tick, given what the laws before it make of the true one.
+    fn sense(&self, _memory: &mut [T], position: T, _sensing: &Sensing<T>) -> T {
+        position
+    }
+
     /// The spool's position during a plant step, given the command sent to it.
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         command
     }
 
+    /// Changes the valve's openings.
+    fn open(&self, _moment: &Moment<'_, T>, _openings: &mut Openings<T>) {}
+
     /// Adds its terms to the balances.
-    fn act(&self, _memory: &[T], _state: &State<T>, _terms: &mut Terms<T>) {}
+    fn act(&self, _memory: &[T], _moment: &Moment<'_, T>, _terms: &mut Terms<T>) {}
+
+    /// Softens the volumes.
+    fn soften(&self, _moment: &Moment<'_, T>, _softening: &mut Softening<T>) {}
+
+    /// Advances states of its own over a plant step; `moment` and `terms` are those at its start.
+    fn advance(&self, _memory: &mut [T], _moment: &Moment<'_, T>, _terms: &Terms<T>, _dt: T) {}
 }
 
 /// Builds a law for both number types from one generic constructor `fn(&[T]) -> impl Law<T>`.

@@ -1,6 +1,6 @@
 //! Valve dead band: overlapped spool lands, which pass nothing until the spool has travelled the overlap.
 
-use super::{Effect, Equation, Law, Parameter, Substep, built_by};
+use super::{About, Effect, Equation, Law, Parameter, Substep, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -25,26 +25,20 @@ impl<T: Real> Law<T> for Deadband<T> {
 }
 
 impl Effect for ValveDeadband {
-    fn key(&self) -> &'static str {
-        "valve_deadband"
-    }
-    fn parameters(&self) -> &'static [Parameter] {
-        &[Parameter {
-            name: "half_width",
-            unit: "1",
-            neutral: 0.0,
-            range: (0.0, 0.15),
-            source: "Merritt, Hydraulic Control Systems (1967), ch. 5: overlap of closed-centre spools, to 15 % of travel",
-        }]
-    }
-    fn law_text(&self) -> &'static str {
-        "spool = sign(u) · max(|u| − half_width, 0)"
-    }
-    fn signature(&self) -> &'static str {
-        "the command jumps by twice the half width whenever its sign changes; holds hunt slowly across the band"
-    }
-    fn equation(&self) -> Equation {
-        Equation::Cap
+    fn about(&self) -> &'static About {
+        &About {
+            key: "valve_deadband",
+            parameters: &[Parameter {
+                name: "half_width",
+                unit: "1",
+                neutral: 0.0,
+                range: (0.0, 0.15),
+                source: "Merritt, Hydraulic Control Systems (1967), ch. 5: overlap of closed-centre spools, to 15 % of travel",
+            }],
+            law: "spool = sign(u) · max(|u| − half_width, 0)",
+            signature: "the command jumps by twice the half width whenever its sign changes; holds hunt slowly across the band",
+            equation: Equation::Cap,
+        }
     }
     built_by!(Deadband::new);
 }
