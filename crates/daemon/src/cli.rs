@@ -38,6 +38,9 @@ enum Command {
     Study(commands::study::StudyArguments),
     /// Read logs (MCAP, CSV, candump): leak by cycle, flags, summary
     Replay(commands::replay::ReplayArguments),
+    /// Say where simulator and machine part, and which effect causes it
+    #[cfg(feature = "gap")]
+    Gap(commands::gap::GapArguments),
     /// Show what a log holds and propose the mapping that reads it
     Inspect(commands::inspect::InspectArguments),
     /// Check plant, model and configuration files
@@ -69,6 +72,8 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "study")]
         Command::Study(arguments) => commands::study::run(arguments),
         Command::Replay(arguments) => commands::replay::run(arguments),
+        #[cfg(feature = "gap")]
+        Command::Gap(arguments) => commands::gap::run(arguments),
         Command::Inspect(arguments) => commands::inspect::run(arguments),
         Command::Check(arguments) => commands::check::run(arguments),
         Command::Completions(arguments) => commands::shell::completions(arguments),

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::cycle::{Instant, Schedule, Turn};
 use crate::machine::{Input, Machine, Record};
-use crate::real::{LANES, Lanes};
+use crate::real::{LANES, Lanes, Real};
 use crate::simd::widest;
 use crate::spec::MachineSpec;
 
@@ -84,6 +84,32 @@ pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &Record<Lanes>)) {
             }
         }
         tick += ticks as u64;
+    }
+}
+
+/// Runs at most [`LANES`] machines side by side along the same drive, each with its own leak, and hands each tick to `sink` with its number.
+///
+/// Machines beyond the lanes are not run; the callers chunk.
+pub fn follow(machines: &[MachineSpec], drive: &[Instant], mut sink: impl FnMut(usize, &Record<Lanes>)) {
+    let specs: Vec<&MachineSpec> = machines.iter().collect();
+    let machine = Machine::<Lanes>::new(&specs);
+    let a_leak = Lanes::from_lanes(|lane| specs[lane.min(specs.len() - 1)].plant.leak_area_m2);
+    let mut state = machine.start_at(drive.first());
+    let mut block: Vec<Record<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
+    for (number, instants) in drive.chunks(BLOCK_TICKS).enumerate() {
+        block.clear();
+        widest(
+            #[inline(always)]
+            || {
+                for instant in instants {
+                    let input = Input { a_leak, ..Input::gather(std::slice::from_ref(instant)) };
+                    block.push(machine.tick(&mut state, &input));
+                }
+            },
+        );
+        for (offset, record) in block.iter().enumerate() {
+            sink(number * BLOCK_TICKS + offset, record);
+        }
     }
 }
 

@@ -127,7 +127,18 @@ impl<T: Real> Machine<T> {
 
     /// The machine at rest where its duty cycle begins.
     pub fn start(&self) -> MachineState<T> {
-        let (x, load) = self.start;
+        self.at_rest(self.start.0, self.start.1)
+    }
+
+    /// The machine at rest where a drive begins.
+    pub fn start_at(&self, first: Option<&Instant>) -> MachineState<T> {
+        match first {
+            Some(first) => self.at_rest(T::splat(first.demand_m), T::splat(first.load_n)),
+            None => self.start(),
+        }
+    }
+
+    fn at_rest(&self, x: T, load: T) -> MachineState<T> {
         MachineState {
             plant: self.plant.rest(x, load),
             pid: self.pid.start(x),

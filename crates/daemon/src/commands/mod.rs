@@ -3,6 +3,8 @@
 pub mod check;
 #[cfg(feature = "simulate")]
 pub mod demo;
+#[cfg(feature = "gap")]
+pub mod gap;
 pub mod inspect;
 pub mod replay;
 pub mod shell;

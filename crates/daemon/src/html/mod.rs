@@ -4,6 +4,8 @@ pub mod chart;
 #[cfg(feature = "simulate")]
 pub mod demo;
 pub mod flags;
+#[cfg(feature = "gap")]
+pub mod gap;
 pub mod report;
 #[cfg(feature = "study")]
 pub mod study;
@@ -25,7 +27,8 @@ svg{display:block;width:100%;height:auto}svg text{fill:var(--soft);font-size:12p
 .grid{stroke:var(--line);stroke-width:1}.axis{stroke:var(--soft);stroke-width:1}.series{fill:none;stroke-width:1.8;stroke-linejoin:round}
 .stroke-a{stroke:var(--a)}.stroke-b{stroke:var(--b)}.fill-band{fill:var(--band)}.limit{stroke-dasharray:5 4;stroke-width:1.2}
 .dash{stroke-dasharray:7 4}.mark{stroke:var(--line);stroke-width:1.5}.dot-a{fill:var(--a)}.dot-b{fill:var(--b)}
-.stroke-soft{stroke:var(--soft)}:root{--s0:#9db8dd;--s1:#7fa3d6;--s2:#5b88cf;--s3:#3a6cbf;--s4:#8a3f7c;--s5:#c0283c}
+.bars{width:100%}.bars td{padding-right:.6rem}.bar{display:block;height:.8em;border-radius:2px;background:var(--c);min-width:1px;
+print-color-adjust:exact;-webkit-print-color-adjust:exact}.bars .grow{width:45%}.bars .narrow{width:14%}.stroke-soft{stroke:var(--soft)}:root{--s0:#9db8dd;--s1:#7fa3d6;--s2:#5b88cf;--s3:#3a6cbf;--s4:#8a3f7c;--s5:#c0283c}
 .shade-0{stroke:var(--s0)}.shade-1{stroke:var(--s1)}.shade-2{stroke:var(--s2)}.shade-3{stroke:var(--s3)}.shade-4{stroke:var(--s4)}.shade-5{stroke:var(--s5)}
 h3{font-size:1rem;margin:1.2rem 0 .4rem}ol{padding-left:1.3rem;max-width:46rem}figcaption{font-size:.82rem;color:var(--soft);overflow-wrap:anywhere}.grid-2,.grid-3{display:grid;gap:.6rem;grid-template-columns:repeat(2,1fr)}
 .grid-3{grid-template-columns:repeat(3,1fr)}.grid-2 figure,.grid-3 figure{margin:0}

@@ -1,0 +1,256 @@
+//! `seepd gap`: where simulator and machine part, and which effect causes it.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use clap::Args;
+use seepd_gap::report::{Diagnosis, Verdict};
+use seepd_gap::{Log, Record, RecordError, Settings, cannot_tell, diagnose};
+use seepd_signals::Signal;
+use seepd_sim::MachineSpec;
+
+use super::simulate::read_plant;
+use crate::cli::Outcome;
+use crate::config::{Config, Selection};
+use crate::event::LPM_PER_M3_PER_S;
+use crate::failure::{Code, Failure};
+use crate::html::gap::GapPage;
+use crate::progress::progress_bar;
+use crate::sink::terminal::print;
+use crate::source;
+
+/// Says where the simulator and a machine part, which effect that the simulator lacks causes it, how likely that is, and how far the
+/// gap shrinks once the effect is added; or that nothing it knows explains the log.
+///
+/// Needs command and position; demand, load and pressures help. Signals are mapped as in `replay`.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  seepd gap press-3.mcap --plant press-3.toml\n  \
+                        seepd gap press-3.mcap --json diagnosis.json --html gap.html --emit-plant as-it-is.toml")]
+pub struct GapArguments {
+    /// Log: MCAP, CSV or candump
+    #[arg(value_name = "LOG")]
+    log: PathBuf,
+    /// Plant file instead of the nominal press
+    #[arg(long, value_name = "FILE")]
+    plant: Option<PathBuf>,
+    /// Configuration with the signals' mapping
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Topic of the signals, where the log has several axes; interface in a CAN log
+    #[arg(long, value_name = "TOPIC")]
+    topic: Option<String>,
+    /// DBC file that describes a CAN log's frames
+    #[arg(long, value_name = "FILE")]
+    dbc: Option<PathBuf>,
+    /// Write the diagnosis as JSON (seepd.gap/1); `-`: to standard output, instead of the report
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Write the diagnosis as one HTML page with plots
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+    /// Write the plant file with the retuned parameters and the chosen effects
+    #[arg(long, value_name = "FILE")]
+    emit_plant: Option<PathBuf>,
+    /// Threads [default: one a core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+}
+
+/// Most cycles that are read: more add nothing but time.
+const MOST_CYCLES: f64 = 48.0;
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure`] for plant, configuration, log or output.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "how long a diagnosis took is part of it; nothing else depends on it"
+)]
+pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
+    let begin = std::time::Instant::now();
+    let spec = read_plant(arguments.plant.as_deref())?;
+    let mut config = arguments.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+    config.selection = Selection { topic: arguments.topic.clone(), command: None };
+    config.dbc = arguments.dbc.clone().or(config.dbc);
+    let mut notes = Vec::new();
+    let log = read(&arguments.log, &config, &spec, &mut notes)?;
+    let name = arguments.log.display();
+    let record = match Record::new(&log, &spec) {
+        Ok(record) => record,
+        // Something is wrong with the signals: a program that asked for an answer gets the safe one.
+        Err(error @ (RecordError::Units { .. } | RecordError::Mismatch(_))) => {
+            return write(arguments, &spec, &cannot_tell(&spec, error.to_string()));
+        }
+        Err(error) => return Err(Failure::data(format!("{name}: {error}"))),
+    };
+    let bar = progress_bar(seepd_gap::diagnosis::STEPS as u64, "diagnosing");
+    bar.enable_steady_tick(Duration::from_millis(200));
+    let threads = arguments.threads.map_or(0, usize::from);
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
+    let mut diagnosis = pool.install(|| {
+        diagnose(&record, &spec, &Settings::default(), &mut |done| bar.set_position(done as u64))
+    });
+    bar.finish_and_clear();
+    diagnosis.notes.extend(notes);
+    diagnosis.seconds = begin.elapsed().as_secs_f64();
+    if let Some(path) = &arguments.emit_plant {
+        let mut machine = diagnosis.machine.clone();
+        machine.plant.leak_area_m2 = 0.0;
+        let text = machine.to_toml().map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
+        fs::write(path, text).map_err(|error| Failure::writing(path, error))?;
+    }
+    write(arguments, &spec, &diagnosis)
+}
+
+fn write(arguments: &GapArguments, spec: &MachineSpec, diagnosis: &Diagnosis) -> Result<Outcome, Failure> {
+    if let Some(path) = &arguments.html {
+        let log = arguments.log.display().to_string();
+        let page = GapPage { log: &log, headline: &headline(diagnosis), diagnosis, spec };
+        fs::write(path, page.render()).map_err(|error| Failure::writing(path, error))?;
+    }
+    if let Some(path) = &arguments.json {
+        let mut text = serde_json::to_string_pretty(diagnosis).map_err(|error| {
+            Failure::new(Code::Internal, format!("writing the diagnosis as JSON: {error}"))
+        })?;
+        text.push('\n');
+        if path == Path::new("-") {
+            print(text.as_bytes())?;
+            return Ok(Outcome::Good);
+        }
+        fs::write(path, text).map_err(|error| Failure::writing(path, error))?;
+    }
+    print(report(spec, diagnosis).as_bytes())?;
+    Ok(Outcome::Good)
+}
+
+/// Reads a log's signals, one value a controller tick.
+fn read(path: &Path, config: &Config, spec: &MachineSpec, notes: &mut Vec<String>) -> Result<Log, Failure> {
+    let mut source = source::open(path, config)?;
+    let period_ns = spec.controller.period_s * 1e9;
+    let most = (MOST_CYCLES * spec.cycle.period_s / spec.controller.period_s) as usize;
+    let mut log = Log::default();
+    let mut first_ns = None;
+    while let Some(sample) = source.next_sample()? {
+        let first_ns = *first_ns.get_or_insert(sample.time_ns);
+        let tick = (sample.time_ns.saturating_sub(first_ns) as f64 / period_ns).round();
+        if tick < 0.0 {
+            continue;
+        }
+        let tick = tick as usize;
+        if tick >= most {
+            notes.push(format!("only the first {MOST_CYCLES} cycles are used"));
+            break;
+        }
+        for signal in Signal::ALL {
+            if let Some(value) = sample.get(signal) {
+                let values = &mut log.values[signal as usize];
+                if values.len() <= tick {
+                    values.resize(tick + 1, f64::NAN);
+                }
+                values[tick] = value;
+            }
+        }
+    }
+    notes.extend(source.notes());
+    let length = log.len();
+    for values in log.values.iter_mut().filter(|values| !values.is_empty()) {
+        values.resize(length, f64::NAN);
+    }
+    Ok(log)
+}
+
+/// The terminal's report.
+fn report(spec: &MachineSpec, diagnosis: &Diagnosis) -> String {
+    let percent = |value: f64| format!("{:.1} %", 100.0 * value);
+    let mut text = format!("{}\n\n", headline(diagnosis));
+    if diagnosis.cycles.used == 0 {
+        return text;
+    }
+    text += &format!(
+        "{:<10} {:>9} {:>9} {:>9} {:>9}   gap on {} held-out cycles, RMS over range\n",
+        "signal", "floor", "nominal", "retuned", "chosen", diagnosis.cycles.held_out
+    );
+    for signal in &diagnosis.signals {
+        let of = |map: &std::collections::BTreeMap<&'static str, f64>| {
+            percent(map.get(signal).copied().unwrap_or(f64::NAN))
+        };
+        let gap = &diagnosis.gap;
+        text += &format!(
+            "{signal:<10} {:>9} {:>9} {:>9} {:>9}\n",
+            of(&diagnosis.floor),
+            of(&gap.nominal),
+            of(&gap.retuned),
+            of(&gap.chosen)
+        );
+    }
+    text += &format!(
+        "\nretuning alone removes {} of what can be removed, the chosen machine {}\n",
+        percent(diagnosis.shrink.retune_only),
+        percent(diagnosis.shrink.of_removable)
+    );
+    text += "\nwhere, after retuning:\n";
+    for place in diagnosis.places.iter().take(4) {
+        text += &format!(
+            "  {:>6}  {} in {}, seen in {}\n",
+            percent(place.share),
+            place.equation,
+            place.phase,
+            place.signal
+        );
+    }
+    text += "\nwhy:\n";
+    for finding in diagnosis.effects.iter().filter(|finding| finding.probability >= 0.01) {
+        let values: Vec<String> = finding
+            .parameters
+            .iter()
+            .map(|(name, value)| {
+                let [low, high] = finding.interval95.get(name).copied().unwrap_or([f64::NAN; 2]);
+                format!("{name} {value:.4e} ({low:.3e} … {high:.3e})")
+            })
+            .collect();
+        text +=
+            &format!("  {:>6}  {}: {}\n", percent(finding.probability), finding.effect, values.join(", "));
+        if !finding.equivalent.is_empty() {
+            text += &format!("          looks the same in this log: {}\n", finding.equivalent.join(", "));
+        }
+    }
+    text += &format!("  {:>6}  none of these\n", percent(diagnosis.unknown_probability));
+    text +=
+        &format!("  {:>6}  no effect, other parameters at most\n", percent(diagnosis.no_effect_probability));
+    text += "\nparameters as retuned, over the plant file's:\n";
+    for (symbol, value) in &diagnosis.retuned {
+        let ratio = value.fitted / value.nominal;
+        let ends = value.interval95.map(|end| end / value.nominal);
+        text += &format!("  {symbol:<10} {ratio:>6.3}  ({:.3} … {:.3})\n", ends[0], ends[1]);
+    }
+    let lpm = |area: f64| spec.plant.orifice_flow_m3_per_s(area, 7e6) * LPM_PER_M3_PER_S;
+    let leak = &diagnosis.leak;
+    text += &format!(
+        "\nleak at 7 MPa: {:.3} L/min by the plant file, {:.3} retuned, {:.3} as chosen\n",
+        lpm(leak.nominal_m2),
+        lpm(leak.retuned_m2),
+        lpm(leak.chosen_m2)
+    );
+    for line in diagnosis.distinguish.iter().chain(&diagnosis.notes) {
+        text += &format!("{line}\n");
+    }
+    text += &format!("{:.1} s\n", diagnosis.seconds);
+    text
+}
+
+fn headline(diagnosis: &Diagnosis) -> String {
+    let because = diagnosis.reason.as_ref().map_or(String::new(), |reason| format!(" ({reason})"));
+    let text = match diagnosis.verdict {
+        Verdict::NoGap => "no gap: the plant file's machine shows what the log shows".into(),
+        Verdict::Parameters => "no effect: other parameters explain the log".into(),
+        Verdict::Effect => format!("an effect: {}", diagnosis.chosen.join(", ")),
+        Verdict::Unknown => "an effect that is not in the catalogue".into(),
+        Verdict::CannotTell => "cannot tell".into(),
+    };
+    format!("{text}{because}")
+}

@@ -1,0 +1,217 @@
+//! The page that `seepd gap --html` leaves.
+
+use std::collections::BTreeMap;
+
+use maud::{Markup, html};
+use seepd_gap::Diagnosis;
+use seepd_gap::report::EffectFinding;
+use seepd_sim::MachineSpec;
+use seepd_sim::effects;
+
+use super::chart::{Axis, Chart, Layer};
+use super::page;
+use crate::event::LPM_PER_M3_PER_S;
+
+/// What the page shows.
+pub struct GapPage<'a> {
+    /// Name of the log.
+    pub log: &'a str,
+    /// The verdict in a sentence.
+    pub headline: &'a str,
+    /// The diagnosis.
+    pub diagnosis: &'a Diagnosis,
+    /// The plant file's machine.
+    pub spec: &'a MachineSpec,
+}
+
+/// Pressure difference at which leaks are given as flows, Pa.
+const REFERENCE_DP_PA: f64 = 7e6;
+
+fn percent(value: f64) -> String {
+    format!("{:.1} %", 100.0 * value)
+}
+
+impl GapPage<'_> {
+    /// The page's text.
+    pub fn render(&self) -> String {
+        let found = self.diagnosis;
+        let body = html! {
+            h1 { "Simulator and machine: " (self.log) }
+            p { strong { (self.headline) } }
+            @if found.cycles.used > 0 {
+                p.soft { (found.cycles.used) " cycles; fitted to " (found.cycles.fit) ", gaps measured on the other " (found.cycles.held_out)
+                    ". A gap is the RMS difference of log and simulation over the signal's range; the floor is what differs from cycle to cycle." }
+                h2 { "How far the gap shrinks" }
+                (self.waterfall())
+                h2 { "Why" }
+                (self.ranking())
+                h2 { "Where" }
+                p.soft { "Shares of the imbalance that is left after retuning, by equation and phase of the duty cycle." }
+                (self.places())
+                h2 { "Log and simulations over a cycle" }
+                @for index in 0..found.signals.len() { (self.overlay(index)) }
+                h2 { "The plant's own parameters, retuned" }
+                (self.retuned())
+                h2 { "What becomes of the leak estimate" }
+                (self.leak())
+            }
+            @if !found.distinguish.is_empty() {
+                h2 { "What this log cannot tell" }
+                ul { @for line in &found.distinguish { li { (line) } } }
+            }
+            @if !found.notes.is_empty() {
+                h2 { "About the log" }
+                ul { @for line in &found.notes { li { (line) } } }
+            }
+        };
+        page("Simulator and machine – seepd", &body)
+    }
+
+    /// Gap by signal: nominal, retuned, chosen, floor.
+    fn waterfall(&self) -> Markup {
+        let gap = &self.diagnosis.gap;
+        let of = |map: &BTreeMap<&'static str, f64>, signal: &str| map.get(signal).copied().unwrap_or(0.0);
+        let rows = |signal: &'static str| {
+            [
+                ("nominal", of(&gap.nominal, signal), "var(--severe)"),
+                ("retuned", of(&gap.retuned, signal), "var(--watch)"),
+                ("chosen", of(&gap.chosen, signal), "var(--healthy)"),
+                ("floor", of(&self.diagnosis.floor, signal), "var(--no_estimate)"),
+            ]
+        };
+        let all = self.diagnosis.signals.iter().flat_map(|signal| rows(signal).map(|row| row.1));
+        let largest = all.fold(1e-6, f64::max);
+        let shrink = &self.diagnosis.shrink;
+        html! {
+            p { "Retuning alone removes " (percent(shrink.retune_only)) " of what can be removed, the chosen machine " (percent(shrink.of_removable))
+                " (" (percent(shrink.of_total)) " of the whole)." }
+            table.bars { tbody { @for signal in &self.diagnosis.signals {
+                @for (place, (name, value, colour)) in rows(signal).into_iter().enumerate() { tr {
+                    td { @if place == 0 { (signal) } }
+                    td { (name) }
+                    td.number { (format!("{:.2} %", 100.0 * value)) }
+                    td.grow { (bar(value / largest, colour)) }
+                } }
+            } } }
+        }
+    }
+
+    fn ranking(&self) -> Markup {
+        let found = self.diagnosis;
+        let named = |finding: &&EffectFinding| finding.probability >= 0.005;
+        html! { table.bars {
+            thead { tr { th { "Cause" } th.number { "probability" } th {} th { "values (95 %)" } th.number { "removes" } } }
+            tbody {
+                @for finding in found.effects.iter().filter(named) { tr {
+                    td { (finding.effect)
+                        @if let Some(effect) = effects::find(finding.effect) { br; span.soft { (effect.about().law) } }
+                        @if !finding.equivalent.is_empty() { br; span.soft { "looks the same in this log: " (finding.equivalent.join(", ")) } } }
+                    td.number { (percent(finding.probability)) }
+                    td.narrow { (bar(finding.probability, "var(--a)")) }
+                    td { @for (name, value) in &finding.parameters { (name) " " (format!("{value:.4e}"))
+                        @if let Some([low, high]) = finding.interval95.get(name) { (format!(" ({low:.3e} … {high:.3e})")) } br; } }
+                    td.number { (percent(finding.shrink)) }
+                } }
+                tr { td { "none of these" } td.number { (percent(found.unknown_probability)) } td { (bar(found.unknown_probability, "var(--b)")) } td {} td {} }
+                tr { td { "no effect, other parameters at most" } td.number { (percent(found.no_effect_probability)) }
+                    td { (bar(found.no_effect_probability, "var(--healthy)")) } td {} td {} }
+            }
+        } }
+    }
+
+    fn places(&self) -> Markup {
+        html! { table.bars { tbody { @for place in &self.diagnosis.places { tr {
+            td { (place.equation) } td { (place.phase) } td { "seen in " (place.signal) }
+            td.number { (percent(place.share)) } td.grow { (bar(place.share, "var(--a)")) }
+        } } } } }
+    }
+
+    /// The signal as recorded and as simulated, and what differs.
+    fn overlay(&self, index: usize) -> Markup {
+        let curves = &self.diagnosis.curves;
+        let Some(recorded) = curves.recorded.get(index) else { return html! {} };
+        let line = |values: &[f64], class| Layer::Line {
+            class,
+            points: curves.t_s.iter().copied().zip(values.iter().copied()).collect(),
+        };
+        let less =
+            |values: &Vec<f64>| -> Vec<f64> { values.iter().zip(recorded).map(|(a, b)| a - b).collect() };
+        let empty = Vec::new();
+        let of = |view: &Vec<Vec<f64>>| view.get(index).unwrap_or(&empty).clone();
+        let (nominal, retuned, chosen) = (of(&curves.nominal), of(&curves.retuned), of(&curves.chosen));
+        let end = curves.phases.last().map_or(10.0, |phase| phase.2);
+        let time = || Axis::linear("time in the cycle, s", 0.0, end);
+        let differences = [less(&nominal), less(&retuned), less(&chosen)];
+        let marks =
+            || curves.phases.iter().map(|(name, from, _)| Layer::Mark { at: *from, name: (*name).into() });
+        let signal = self.diagnosis.signals[index];
+        let mut layers: Vec<Layer> = marks().collect();
+        layers.extend([
+            line(&nominal, "stroke-soft"),
+            line(&chosen, "stroke-a dash"),
+            line(recorded, "stroke-b"),
+        ]);
+        let together = Chart {
+            layers,
+            key: vec![
+                ("log".into(), "var(--b)", false),
+                ("simulation, nominal".into(), "var(--soft)", false),
+                ("simulation, chosen".into(), "var(--a)", false),
+            ],
+            ..Chart::new(signal, time(), spanning(signal, recorded.iter().chain(&nominal).chain(&chosen)))
+        };
+        let apart = Chart {
+            layers: vec![
+                Layer::Limit { at: 0.0, name: String::new(), colour: "var(--line)" },
+                line(&differences[0], "stroke-soft"),
+                line(&differences[1], "stroke-b dash"),
+                line(&differences[2], "stroke-a"),
+            ],
+            key: vec![
+                ("nominal less log".into(), "var(--soft)", false),
+                ("retuned less log".into(), "var(--b)", false),
+                ("chosen less log".into(), "var(--a)", false),
+            ],
+            ..Chart::new(signal, time(), spanning("difference", differences.iter().flatten()))
+        };
+        html! { h3 { (signal) } (together.render()) (apart.render()) }
+    }
+
+    fn retuned(&self) -> Markup {
+        html! { div.scroll { table {
+            thead { tr { th { "Parameter" } th.number { "plant file" } th.number { "retuned" } th.number { "ratio" } th.number { "95 %" } } }
+            tbody { @for (symbol, value) in &self.diagnosis.retuned { tr {
+                td { (symbol) }
+                td.number { (format!("{:.4e}", value.nominal)) }
+                td.number { (format!("{:.4e}", value.fitted)) }
+                td.number { (format!("{:.3}", value.fitted / value.nominal)) }
+                td.number { (format!("{:.3} … {:.3}", value.interval95[0] / value.nominal, value.interval95[1] / value.nominal)) }
+            } } }
+        } } p.soft { "Wide intervals are parameters that this log does not tell; with the relief valve always open Q_pump, p_prv and R_prv are one number." } }
+    }
+
+    fn leak(&self) -> Markup {
+        let lpm = |area: f64| self.spec.plant.orifice_flow_m3_per_s(area, REFERENCE_DP_PA) * LPM_PER_M3_PER_S;
+        let leak = &self.diagnosis.leak;
+        let rows =
+            [("plant file", leak.nominal_m2), ("retuned", leak.retuned_m2), ("chosen", leak.chosen_m2)];
+        html! { table {
+            thead { tr { th { "By" } th.number { "area, m²" } th.number { "L/min at " (REFERENCE_DP_PA / 1e6) " MPa" } } }
+            tbody { @for (name, area) in rows { tr {
+                td { (name) } td.number { (format!("{area:.3e}")) } td.number { (format!("{:.3}", lpm(area))) }
+            } } }
+        } }
+    }
+}
+
+fn bar(share: f64, colour: &'static str) -> Markup {
+    html! { span.bar style=(format!("--c:{colour};width:{:.1}%", 100.0 * share.clamp(0.0, 1.0))) {} }
+}
+
+fn spanning<'v>(label: &str, values: impl Iterator<Item = &'v f64> + Clone) -> Axis {
+    let finite = || values.clone().copied().filter(|value| value.is_finite());
+    let low = finite().fold(f64::INFINITY, f64::min);
+    let high = finite().fold(f64::NEG_INFINITY, f64::max);
+    let room = (0.06 * (high - low)).max(1e-12);
+    Axis::linear(label, low - room, high + room)
+}

@@ -1,0 +1,61 @@
+//! The test bench: machines simulated along a recorded drive, closed loop, and what they show in bins.
+
+use rayon::prelude::*;
+use seepd_signals::Signal;
+use seepd_sim::MachineSpec;
+use seepd_sim::Record as Tick;
+use seepd_sim::batch::follow;
+use seepd_sim::cycle::Instant;
+use seepd_sim::real::{LANES, Lanes};
+
+use crate::record::{BINS, bin_of};
+
+/// What a machine shows: mean of each signal in each bin.
+pub type View = Vec<Vec<f64>>;
+
+/// Simulates each machine over the drive, after a warm-up with the same drive, and bins its signals. A simulation that goes out of
+/// bounds shows NaN.
+pub fn views(machines: &[MachineSpec], drive: &[Instant], signals: &[Signal]) -> Vec<View> {
+    let ticks = drive.len();
+    let twice: Vec<Instant> = drive.iter().chain(drive).copied().collect();
+    machines
+        .par_chunks(LANES)
+        .flat_map_iter(|machines| {
+            let mut sums = vec![vec![[0.0; LANES]; BINS]; signals.len()];
+            let mut counts = vec![0u32; BINS];
+            follow(machines, &twice, |tick, record| {
+                let Some(tick) = tick.checked_sub(ticks) else { return };
+                let bin = bin_of(tick, ticks);
+                counts[bin] += 1;
+                for (signal, sums) in signals.iter().zip(&mut sums) {
+                    for (sum, value) in sums[bin].iter_mut().zip(of(record, *signal).0) {
+                        *sum += value;
+                    }
+                }
+            });
+            let view = |lane: usize| -> View {
+                let mean = |bins: &Vec<[f64; LANES]>| {
+                    bins.iter()
+                        .zip(&counts)
+                        .map(|(sum, count)| sum[lane] / f64::from((*count).max(1)))
+                        .collect()
+                };
+                sums.iter().map(mean).collect()
+            };
+            (0..machines.len()).map(view).collect::<Vec<View>>()
+        })
+        .collect()
+}
+
+fn of(record: &Tick<Lanes>, signal: Signal) -> Lanes {
+    match signal {
+        Signal::Command => record.command,
+        Signal::Demand => record.demand,
+        Signal::Position => record.position,
+        Signal::PSupply => record.p_supply,
+        Signal::PInlet => record.p_inlet,
+        Signal::PCap => record.p_cap,
+        Signal::PRod => record.p_rod,
+        Signal::Load | Signal::CycleStart => record.load,
+    }
+}

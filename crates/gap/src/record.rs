@@ -1,0 +1,481 @@
+//! A log, aligned with the duty cycle and cut into cycles.
+
+use seepd_signals::Signal;
+use seepd_sim::MachineSpec;
+use seepd_sim::cycle::Instant;
+
+/// Signals that a diagnosis compares, in the order of reports.
+pub const COMPARED: [Signal; 6] =
+    [Signal::Command, Signal::Position, Signal::PSupply, Signal::PInlet, Signal::PCap, Signal::PRod];
+/// Bins of a cycle in which signals are compared: 20 ms of the default duty cycle.
+pub const BINS: usize = 500;
+/// Fewest cycles with which a diagnosis is made at all, and with which it needs no warning.
+pub const LEAST_CYCLES: usize = 3;
+/// See [`LEAST_CYCLES`].
+pub const ENOUGH_CYCLES: usize = 12;
+
+/// A log as read: one value a controller tick, NaN where there is none.
+#[derive(Debug, Clone, Default)]
+pub struct Log {
+    /// Values of each signal by [`Signal`]'s number; empty for a signal that the log lacks.
+    pub values: [Vec<f64>; Signal::ALL.len()],
+}
+
+impl Log {
+    /// A signal's values, if the log has it.
+    pub fn get(&self, signal: Signal) -> Option<&[f64]> {
+        Some(self.values[signal as usize].as_slice()).filter(|values| !values.is_empty())
+    }
+
+    /// Ticks.
+    pub fn len(&self) -> usize {
+        self.values.iter().map(Vec::len).max().unwrap_or(0)
+    }
+
+    /// Whether there is no tick.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+}
+
+/// Why a log cannot be diagnosed.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RecordError {
+    /// A signal is missing.
+    #[error("the log has no {0}; a diagnosis needs command and position")]
+    Missing(&'static str),
+    /// A signal never changes.
+    #[error("the {0} never changes; this is no log of a machine at work")]
+    Constant(&'static str),
+    /// A signal is in other units than SI.
+    #[error("{signal} reaches {largest:.4e} {unit}: {advice}")]
+    Units {
+        /// Signal.
+        signal: &'static str,
+        /// Largest magnitude.
+        largest: f64,
+        /// SI unit.
+        unit: &'static str,
+        /// What it seems to be.
+        advice: &'static str,
+    },
+    /// The position does not follow the demand.
+    #[error("{0}")]
+    Mismatch(String),
+    /// Too few cycles.
+    #[error("{found} usable cycles ({reasons}); at least {LEAST_CYCLES} are needed")]
+    TooFew {
+        /// Usable ones.
+        found: usize,
+        /// Why others are not.
+        reasons: String,
+    },
+}
+
+/// One cycle in bins.
+#[derive(Debug, Clone)]
+pub struct Cycle {
+    /// Mean of each compared signal in each bin, by place in [`Record::signals`].
+    pub bins: Vec<Vec<f64>>,
+    /// Demand and load at each tick.
+    pub drive: Vec<Instant>,
+}
+
+/// A log ready for diagnosis.
+#[derive(Debug, Clone)]
+pub struct Record {
+    /// Signals that the log has, of [`COMPARED`].
+    pub signals: Vec<Signal>,
+    /// Cycles.
+    pub cycles: Vec<Cycle>,
+    /// Range of each signal over all cycles.
+    pub range: Vec<f64>,
+    /// RMS over range of each signal's cycle-to-cycle part.
+    pub floor: Vec<f64>,
+    /// What to know of the log, one line each.
+    pub notes: Vec<String>,
+}
+
+/// Share of samples that may be missing in a cycle, bridged from their neighbours.
+const MISSING_SHARE: f64 = 0.01;
+/// Least correlation of demand (or position) with the plan.
+const LEAST_CORRELATION: f64 = 0.9;
+
+impl Record {
+    /// Aligns and cuts a log.
+    ///
+    /// # Errors
+    /// [`RecordError`] for a log that cannot be of such a machine, or with too few cycles.
+    pub fn new(log: &Log, spec: &MachineSpec) -> Result<Self, RecordError> {
+        check(log, spec)?;
+        let mut notes = Vec::new();
+        let ticks = (spec.cycle.period_s / spec.controller.period_s).round() as usize;
+        let plan: Vec<f64> =
+            (0..ticks).map(|tick| spec.cycle.demand_m(tick as f64 * spec.controller.period_s)).collect();
+        let guide = log.get(Signal::Demand).or(log.get(Signal::Position)).unwrap_or_default();
+        if log.get(Signal::Demand).is_none() {
+            notes.push("the log has no demand; the plant file's is taken, aligned by the position".into());
+        }
+        if log.get(Signal::Load).is_none() {
+            notes.push("the log has no load; the plant file's is taken".into());
+        }
+        let (starts, best) = starts(guide, &plan);
+        if best < LEAST_CORRELATION {
+            return Err(RecordError::Mismatch(format!(
+                "{} and the plant file's duty cycle do not match (correlation {best:.2}); is it the right plant file?",
+                if log.get(Signal::Demand).is_some() { "the log's demand" } else { "the log's position" }
+            )));
+        }
+        let signals: Vec<Signal> = COMPARED.into_iter().filter(|signal| log.get(*signal).is_some()).collect();
+        let (mut cycles, mut incomplete) = (Vec::new(), 0);
+        for start in starts {
+            match cut(log, spec, &signals, start, ticks) {
+                Some(cycle) => cycles.push(cycle),
+                None => incomplete += 1,
+            }
+        }
+        if incomplete > 0 {
+            notes.push(format!("{incomplete} cycles left out: cut off, or with gaps"));
+        }
+        if cycles.len() < LEAST_CYCLES {
+            let reasons = if incomplete > 0 {
+                format!("{incomplete} cut off or with gaps")
+            } else {
+                "the log is short".into()
+            };
+            return Err(RecordError::TooFew { found: cycles.len(), reasons });
+        }
+        if cycles.len() < ENOUGH_CYCLES {
+            notes.push(format!("only {} cycles: probabilities and intervals are wide", cycles.len()));
+        }
+        let range = ranges(&cycles, signals.len());
+        let others = of_another_kind(&cycles, &range);
+        if others.len() * 2 > cycles.len() || cycles.len() - others.len() < LEAST_CYCLES {
+            // Signals that do not belong together differ from cycle to cycle as well: that is the better answer.
+            plausible(&signals, &cycles, spec)?;
+            return Err(RecordError::Mismatch("the cycles differ in kind: too few of them are alike".into()));
+        }
+        if !others.is_empty() {
+            notes.push(format!("{} cycles left out: of another kind than the rest", others.len()));
+            let mut number = 0;
+            cycles.retain(|_| {
+                number += 1;
+                !others.contains(&(number - 1))
+            });
+        }
+        if cycles.len() < LEAST_CYCLES {
+            return Err(RecordError::TooFew {
+                found: cycles.len(),
+                reasons: "the rest is of another kind".into(),
+            });
+        }
+        let range = ranges(&cycles, signals.len());
+        let floor = floors(&cycles, &range);
+        plausible(&signals, &cycles, spec)?;
+        Ok(Record { signals, cycles, range, floor, notes })
+    }
+
+    /// Place of a signal in [`Record::signals`].
+    pub fn index_of(&self, signal: Signal) -> Option<usize> {
+        self.signals.iter().position(|other| *other == signal)
+    }
+
+    /// Mean of some cycles' bins.
+    pub fn mean(&self, cycles: &[usize]) -> Vec<Vec<f64>> {
+        (0..self.signals.len())
+            .map(|signal| {
+                (0..BINS)
+                    .map(|bin| {
+                        cycles.iter().map(|cycle| self.cycles[*cycle].bins[signal][bin]).sum::<f64>()
+                            / cycles.len().max(1) as f64
+                    })
+                    .collect()
+            })
+            .collect()
+    }
+}
+
+fn span(values: &[f64]) -> (f64, f64) {
+    let finite = || values.iter().copied().filter(|value| value.is_finite());
+    (finite().fold(f64::INFINITY, f64::min), finite().fold(f64::NEG_INFINITY, f64::max))
+}
+
+/// Cycles whose command or position is unlike the median cycle's by more than a fifth of its range, RMS.
+fn of_another_kind(cycles: &[Cycle], range: &[f64]) -> Vec<usize> {
+    let median = |signal: usize| -> Vec<f64> {
+        (0..BINS)
+            .map(|bin| {
+                let mut values: Vec<f64> = cycles.iter().map(|cycle| cycle.bins[signal][bin]).collect();
+                values.sort_by(f64::total_cmp);
+                values[values.len() / 2]
+            })
+            .collect()
+    };
+    let medians = [median(0), median(1)];
+    let unlike = |cycle: &Cycle| {
+        medians.iter().enumerate().any(|(signal, median)| {
+            let square: f64 = cycle.bins[signal].iter().zip(median).map(|(a, b)| (a - b).powi(2)).sum();
+            (square / BINS as f64).sqrt() > 0.1 * range[signal]
+        })
+    };
+    (0..cycles.len()).filter(|index| unlike(&cycles[*index])).collect()
+}
+
+/// Whether signals go together as they do on any such axis.
+fn plausible(signals: &[Signal], cycles: &[Cycle], spec: &MachineSpec) -> Result<(), RecordError> {
+    let bins = |signal: Signal| {
+        signals.iter().position(|other| *other == signal).map(|index| &cycles[0].bins[index])
+    };
+    let (Some(u), Some(x)) = (bins(Signal::Command), bins(Signal::Position)) else { return Ok(()) };
+    let speed: Vec<f64> = (0..BINS).map(|bin| x[(bin + 1) % BINS] - x[(bin + BINS - 1) % BINS]).collect();
+    let together = correlation(u, &speed, 0, 1);
+    if together < -0.5 {
+        let what = format!(
+            "the command's sign is inverted (its correlation with the speed is {together:.2}); set scale = -1 in the mapping"
+        );
+        return Err(RecordError::Mismatch(what));
+    }
+    if together < 0.3 {
+        let what = format!(
+            "the position does not follow the command (correlation of command and speed {together:.2})"
+        );
+        return Err(RecordError::Mismatch(what));
+    }
+    let ticks = cycles[0].drive.len();
+    let demand: Vec<f64> = (0..BINS).map(|bin| cycles[0].drive[bin * ticks / BINS].demand_m).collect();
+    // The position follows by up to a twentieth of the cycle.
+    let lagged = |lag: usize| {
+        let shifted: Vec<f64> = (0..BINS).map(|bin| x[(bin + lag) % BINS]).collect();
+        correlation(&shifted, &demand, 0, 1)
+    };
+    let follows = (0..BINS / 20).map(lagged).fold(f64::NEG_INFINITY, f64::max);
+    if follows < LEAST_CORRELATION {
+        let what = format!(
+            "the position does not follow the demand (correlation {follows:.2}); are they of the same axis?"
+        );
+        return Err(RecordError::Mismatch(what));
+    }
+    let early = (1..BINS / 20).map(|lead| lagged(BINS - lead)).fold(f64::NEG_INFINITY, f64::max);
+    if early > follows + 1e-3 {
+        let what = "the position runs ahead of the demand: the clocks of their topics are apart; map the messages' own time";
+        return Err(RecordError::Mismatch(what.into()));
+    }
+    swapped_chambers(bins(Signal::PCap), bins(Signal::PRod), &cycles[0].drive, spec)
+}
+
+/// Piston forces balance the load but for friction; with the chambers swapped they do not.
+fn swapped_chambers(
+    p_cap: Option<&Vec<f64>>,
+    p_rod: Option<&Vec<f64>>,
+    drive: &[Instant],
+    spec: &MachineSpec,
+) -> Result<(), RecordError> {
+    let (Some(p_cap), Some(p_rod)) = (p_cap, p_rod) else { return Ok(()) };
+    let rest = |cap: &[f64], rod: &[f64]| -> f64 {
+        (0..BINS)
+            .map(|bin| {
+                let load = drive[bin * drive.len() / BINS].load_n;
+                (spec.plant.cap_area_m2 * cap[bin] - spec.plant.annulus_area_m2 * rod[bin] + load).powi(2)
+            })
+            .sum()
+    };
+    if rest(p_rod, p_cap) < 0.1 * rest(p_cap, p_rod) {
+        let what = "p_cap and p_rod are swapped: with them exchanged the piston's forces balance".to_owned();
+        return Err(RecordError::Mismatch(what));
+    }
+    Ok(())
+}
+
+/// What can be wrong with a log before anything is compared.
+fn check(log: &Log, spec: &MachineSpec) -> Result<(), RecordError> {
+    for signal in [Signal::Command, Signal::Position] {
+        let values = log.get(signal).ok_or(RecordError::Missing(signal.name()))?;
+        let (low, high) = span(values);
+        if high <= low || !(high - low).is_finite() {
+            return Err(RecordError::Constant(signal.name()));
+        }
+    }
+    let units = |signal: Signal, most: f64, advice| {
+        let (low, high) = log.get(signal).map_or((0.0, 0.0), span);
+        let largest = low.abs().max(high.abs());
+        if largest > most {
+            return Err(RecordError::Units { signal: signal.name(), largest, unit: signal.unit(), advice });
+        }
+        Ok(())
+    };
+    units(Signal::Command, 1.5, "that looks like percent; set scale = 0.01 in the mapping")?;
+    for signal in [Signal::Position, Signal::Demand] {
+        units(
+            signal,
+            3.0 * spec.plant.stroke_m,
+            "that looks like millimetres; set scale = 0.001 in the mapping",
+        )?;
+    }
+    for signal in [Signal::PSupply, Signal::PInlet, Signal::PCap, Signal::PRod] {
+        let Some(values) = log.get(signal) else { continue };
+        let (_, high) = span(values);
+        if high < 1e4 {
+            let advice = "that looks like bar; set scale = 1e5 in the mapping";
+            return Err(RecordError::Units {
+                signal: signal.name(),
+                largest: high,
+                unit: signal.unit(),
+                advice,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Pearson's correlation of a stretch of the guide with the plan; by every `step`-th tick.
+fn correlation(guide: &[f64], plan: &[f64], start: usize, step: usize) -> f64 {
+    let Some(stretch) = guide.get(start..start + plan.len()) else { return f64::NEG_INFINITY };
+    let pairs = || stretch.iter().zip(plan).step_by(step).filter(|(value, _)| value.is_finite());
+    let n = pairs().count().max(1) as f64;
+    let (mean_a, mean_b) = pairs().fold((0.0, 0.0), |sum, (a, b)| (sum.0 + a / n, sum.1 + b / n));
+    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
+    for (a, b) in pairs() {
+        let (a, b) = (a - mean_a, b - mean_b);
+        ab += a * b;
+        aa += a * a;
+        bb += b * b;
+    }
+    ab / (aa * bb).sqrt().max(1e-30)
+}
+
+/// Ticks where cycles begin, and the first one's correlation.
+fn starts(guide: &[f64], plan: &[f64]) -> (Vec<usize>, f64) {
+    let ticks = plan.len();
+    let coarse = (ticks / 500).max(1);
+    let best_in = |from: usize, to: usize| -> (usize, f64) {
+        let last = guide.len().saturating_sub(ticks);
+        let of = |start: usize, step: usize| (start, correlation(guide, plan, start, step));
+        let larger = |a: (usize, f64), b: (usize, f64)| if b.1 > a.1 { b } else { a };
+        let rough = (from..=to.min(last))
+            .step_by(coarse)
+            .map(|s| of(s, coarse))
+            .fold((from, f64::NEG_INFINITY), larger);
+        let (low, high) = (rough.0.saturating_sub(coarse), (rough.0 + coarse).min(last));
+        // The finest difference decides a tick: all samples count.
+        (low..=high).map(|start| of(start, 1)).fold((rough.0, f64::NEG_INFINITY), larger)
+    };
+    let (first, best) = best_in(0, ticks);
+    let mut starts = Vec::new();
+    let mut at = first;
+    while at + ticks <= guide.len() {
+        starts.push(at);
+        let next = at + ticks;
+        if next + ticks > guide.len() {
+            break;
+        }
+        let slack = ticks / 20;
+        let near = best_in(next.saturating_sub(slack), next + slack);
+        // A pause: look a whole period ahead.
+        at = if near.1 >= LEAST_CORRELATION { near.0 } else { best_in(next, next + ticks).0.max(next) };
+    }
+    (starts, best)
+}
+
+fn cut(log: &Log, spec: &MachineSpec, signals: &[Signal], start: usize, ticks: usize) -> Option<Cycle> {
+    let stretch = |signal: Signal| -> Option<Vec<f64>> {
+        let values = log.get(signal)?.get(start..start + ticks)?;
+        bridged(values)
+    };
+    let bins = signals.iter().map(|signal| Some(binned(&stretch(*signal)?))).collect::<Option<Vec<_>>>()?;
+    let demand = log.get(Signal::Demand).is_some().then(|| stretch(Signal::Demand));
+    let load = log.get(Signal::Load).is_some().then(|| stretch(Signal::Load));
+    let (demand, load) =
+        (demand.map_or(Some(None), |d| d.map(Some))?, load.map_or(Some(None), |l| l.map(Some))?);
+    let period_s = spec.controller.period_s;
+    let load_at = |tick: usize| match &load {
+        Some(load) => load[tick % ticks],
+        None => spec.cycle.load_n((tick % ticks) as f64 * period_s),
+    };
+    let drive = (0..ticks)
+        .map(|tick| Instant {
+            turn: 0,
+            at_s: tick as f64 * period_s,
+            demand_m: demand
+                .as_ref()
+                .map_or_else(|| spec.cycle.demand_m(tick as f64 * period_s), |d| d[tick]),
+            load_n: load_at(tick),
+            load_end_n: load_at(tick + 1),
+            leak_area_m2: 0.0,
+        })
+        .collect();
+    Some(Cycle { bins, drive })
+}
+
+/// Fills short gaps along straight lines; `None` where too much is missing.
+fn bridged(values: &[f64]) -> Option<Vec<f64>> {
+    let missing = values.iter().filter(|value| !value.is_finite()).count();
+    if missing as f64 > MISSING_SHARE * values.len() as f64 {
+        return None;
+    }
+    let mut filled = values.to_vec();
+    let mut last: Option<usize> = None;
+    for index in 0..filled.len() {
+        if !filled[index].is_finite() {
+            continue;
+        }
+        let from = last.map_or(0, |last| last + 1);
+        let before = last.map_or(filled[index], |last| filled[last]);
+        for gap in from..index {
+            let share = (gap + 1 - from) as f64 / (index + 1 - from) as f64;
+            filled[gap] = before + (filled[index] - before) * share;
+        }
+        last = Some(index);
+    }
+    let end = last?;
+    let value = filled[end];
+    filled[end..].fill(value);
+    Some(filled)
+}
+
+/// Means over bins.
+fn binned(values: &[f64]) -> Vec<f64> {
+    let mut sums = vec![(0.0, 0u32); BINS];
+    for (tick, value) in values.iter().enumerate() {
+        let bin = &mut sums[bin_of(tick, values.len())];
+        bin.0 += value;
+        bin.1 += 1;
+    }
+    sums.into_iter().map(|(sum, count)| sum / f64::from(count.max(1))).collect()
+}
+
+/// The bin of a tick.
+pub(crate) fn bin_of(tick: usize, ticks: usize) -> usize {
+    (tick * BINS / ticks).min(BINS - 1)
+}
+
+fn ranges(cycles: &[Cycle], signals: usize) -> Vec<f64> {
+    (0..signals)
+        .map(|signal| {
+            let all: Vec<f64> = cycles.iter().flat_map(|cycle| cycle.bins[signal].iter().copied()).collect();
+            let (low, high) = span(&all);
+            (high - low).max(f64::MIN_POSITIVE)
+        })
+        .collect()
+}
+
+/// RMS of the bins' difference from their mean over cycles, over the signal's range.
+fn floors(cycles: &[Cycle], range: &[f64]) -> Vec<f64> {
+    let n = cycles.len() as f64;
+    range
+        .iter()
+        .enumerate()
+        .map(|(signal, range)| {
+            let square: f64 = (0..BINS)
+                .map(|bin| {
+                    let of = |cycle: &Cycle| cycle.bins[signal][bin];
+                    let mean = cycles.iter().map(of).sum::<f64>() / n;
+                    cycles.iter().map(|cycle| (of(cycle) - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0)
+                })
+                .sum();
+            ((square / BINS as f64).sqrt() / range).max(RESOLUTION)
+        })
+        .collect()
+}
+
+/// Least floor: what numbers in a log resolve, and simulations do, share of a range.
+const RESOLUTION: f64 = 1e-4;

@@ -1,0 +1,174 @@
+//! What a diagnosis says: `seepd.gap/1`.
+
+use std::collections::BTreeMap;
+
+use seepd_sim::MachineSpec;
+use serde::Serialize;
+
+use crate::bench::View;
+
+/// `seepd.gap/1`.
+#[derive(Debug, Clone, Serialize)]
+pub struct Diagnosis {
+    /// `seepd.gap/1`.
+    pub schema: &'static str,
+    /// Cycles.
+    pub cycles: CycleCounts,
+    /// Signals that were compared.
+    pub signals: Vec<&'static str>,
+    /// RMS over range of each signal's cycle-to-cycle part.
+    pub floor: BTreeMap<&'static str, f64>,
+    /// RMS over range of the differences on held-out cycles.
+    pub gap: Gaps,
+    /// Where the retuned machine's gap is, largest first; sums to 1.
+    #[serde(rename = "where")]
+    pub places: Vec<Place>,
+    /// What it comes to.
+    pub verdict: Verdict,
+    /// Why there is none, or what limits it.
+    pub reason: Option<String>,
+    /// Wall time, s.
+    pub seconds: f64,
+    /// Effects, most likely first.
+    pub effects: Vec<EffectFinding>,
+    /// Probability that the cause is none of the catalogue's.
+    pub unknown_probability: f64,
+    /// Probability that there is no effect.
+    pub no_effect_probability: f64,
+    /// Effects that the machine is given.
+    pub chosen: Vec<&'static str>,
+    /// How far the gap shrinks on held-out cycles.
+    pub shrink: Shrink,
+    /// The plant's own parameters as retuned, by symbol.
+    pub retuned: BTreeMap<&'static str, Retuned>,
+    /// The leak under each machine, m².
+    pub leak: Leaks,
+    /// What would tell apart what this log cannot.
+    pub distinguish: Vec<String>,
+    /// What to know of the log.
+    pub notes: Vec<String>,
+    /// The machine as diagnosed, with its leak.
+    #[serde(skip)]
+    pub machine: MachineSpec,
+    /// What was recorded and simulated, for plots.
+    #[serde(skip)]
+    pub curves: Curves,
+}
+
+/// Signals over a cycle, in bins, by place in [`Diagnosis::signals`].
+#[derive(Debug, Clone, Default)]
+pub struct Curves {
+    /// Time in the cycle, s.
+    pub t_s: Vec<f64>,
+    /// Mean of the held-out cycles.
+    pub recorded: View,
+    /// The plant file's machine, its leak fitted.
+    pub nominal: View,
+    /// The retuned machine.
+    pub retuned: View,
+    /// The machine with the chosen effects.
+    pub chosen: View,
+    /// Name of each phase with its start and end, s.
+    pub phases: Vec<(&'static str, f64, f64)>,
+}
+
+/// Numbers of cycles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct CycleCounts {
+    /// In all.
+    pub used: usize,
+    /// That were fitted to.
+    pub fit: usize,
+    /// That the gaps are of.
+    pub held_out: usize,
+}
+
+/// Gaps by signal.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Gaps {
+    /// Of the plant file's machine, its leak fitted.
+    pub nominal: BTreeMap<&'static str, f64>,
+    /// Of the retuned machine.
+    pub retuned: BTreeMap<&'static str, f64>,
+    /// Of the machine with the chosen effects.
+    pub chosen: BTreeMap<&'static str, f64>,
+}
+
+/// A part of the gap.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Place {
+    /// The equation that does not balance.
+    pub equation: &'static str,
+    /// Phase of the duty cycle.
+    pub phase: &'static str,
+    /// The signal that shows it most there.
+    pub signal: &'static str,
+    /// Share of the whole.
+    pub share: f64,
+}
+
+/// What a diagnosis comes to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The plant file's machine shows what the log shows.
+    NoGap,
+    /// Other parameters explain the difference.
+    Parameters,
+    /// An effect does.
+    Effect,
+    /// There is a difference, and nothing that the catalogue has explains it.
+    Unknown,
+    /// The log does not say.
+    CannotTell,
+}
+
+/// An effect's chances.
+#[derive(Debug, Clone, Serialize)]
+pub struct EffectFinding {
+    /// Key.
+    pub effect: &'static str,
+    /// Probability.
+    pub probability: f64,
+    /// Values.
+    pub parameters: BTreeMap<&'static str, f64>,
+    /// Their 95 % intervals.
+    pub interval95: BTreeMap<&'static str, [f64; 2]>,
+    /// Share of the removable gap that it removes, with retuning, on held-out cycles.
+    pub shrink: f64,
+    /// Effects whose signature is the same in this log.
+    pub equivalent: Vec<&'static str>,
+}
+
+/// How far the gap shrinks.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Shrink {
+    /// With the chosen effects, of what is above the floor.
+    pub of_removable: f64,
+    /// With the chosen effects, of the whole.
+    pub of_total: f64,
+    /// With retuning alone, of what is above the floor.
+    pub retune_only: f64,
+}
+
+/// A retuned parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Retuned {
+    /// In the plant file.
+    pub nominal: f64,
+    /// As fitted.
+    pub fitted: f64,
+    /// Its 95 % interval.
+    pub interval95: [f64; 2],
+}
+
+/// Leak estimates, m².
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Leaks {
+    /// By the plant file's machine.
+    pub nominal_m2: f64,
+    /// By the retuned machine.
+    pub retuned_m2: f64,
+    /// With the chosen effects.
+    pub chosen_m2: f64,
+}

@@ -1,0 +1,113 @@
+//! Which effects are worth a fit: what each explains of the gap beyond what retuning explains.
+
+use nalgebra::{DMatrix, DVector};
+use seepd_sim::MachineSpec;
+use seepd_sim::effects::{self, Effect};
+
+use crate::fit::{Fit, Problem, normal_matrix, range_of};
+
+/// An effect at the strength at which it explains most.
+#[derive(Clone)]
+pub struct Candidate {
+    /// The effect.
+    pub effect: &'static dyn Effect,
+    /// Its values.
+    pub values: Vec<f64>,
+    /// How much of the retuned cost it takes away, to first order.
+    pub gain: f64,
+    /// Norm of its signature beyond retuning, in expected errors: how much it would show at all.
+    pub visible: f64,
+}
+
+/// Levels of a parameter that are tried, shares of its range: for one with its neutral value at the low end, and for one with it inside.
+const ONE_SIDED: [f64; 3] = [0.06, 0.25, 0.7];
+const TWO_SIDED: [f64; 4] = [0.12, 0.38, 0.62, 0.88];
+/// Levels of parameters that are places or times.
+const PLACES: [f64; 6] = [0.05, 0.2, 0.35, 0.5, 0.65, 0.8];
+
+/// Screens the catalogue on the retuned machine; the most promising first.
+pub fn screen(problem: &Problem<'_>, retuned: &Fit) -> Vec<Candidate> {
+    let mut tried: Vec<(&'static dyn Effect, Vec<f64>)> = Vec::new();
+    for effect in effects::ALL.iter().copied() {
+        // What the plant file has already is part of the plant.
+        if !retuned.spec.effects.contains_key(effect.key()) {
+            tried.extend(levels(effect, &retuned.spec).into_iter().map(|values| (effect, values)));
+        }
+    }
+    let machines: Vec<MachineSpec> =
+        tried.iter().map(|(effect, values)| with(&retuned.spec, *effect, values)).collect();
+    let beyond = Beyond::new(retuned);
+    let base = beyond.project(&retuned.residual);
+    let mut best: Vec<Candidate> = Vec::new();
+    for ((effect, values), residual) in tried.into_iter().zip(problem.residuals(&machines)) {
+        let signature = beyond.project(&(residual - &retuned.residual));
+        let square = signature.norm_squared().max(1e-12);
+        // How much of it, between a fifth and half as much again.
+        let amount = (-signature.dot(&base) / square).clamp(0.2, 1.5);
+        let gain = base.norm_squared() - (&base + &signature * amount).norm_squared();
+        let candidate = Candidate { effect, values, gain, visible: square.sqrt() };
+        match best.iter_mut().find(|other| other.effect.key() == effect.key()) {
+            Some(other) if candidate.gain > other.gain => *other = candidate,
+            Some(_) => {}
+            None => best.push(candidate),
+        }
+    }
+    best.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    best
+}
+
+/// The machine with an effect at these values.
+pub(crate) fn with(spec: &MachineSpec, effect: &dyn Effect, values: &[f64]) -> MachineSpec {
+    let mut spec = spec.clone();
+    let table = spec.effects.entry(effect.key().into()).or_default();
+    for (parameter, value) in effect.parameters().iter().zip(values) {
+        table.insert(parameter.name.into(), *value);
+    }
+    spec
+}
+
+/// Combinations of the parameters' levels.
+fn levels(effect: &dyn Effect, spec: &MachineSpec) -> Vec<Vec<f64>> {
+    let mut combinations: Vec<Vec<f64>> = vec![Vec::new()];
+    for (index, parameter) in effect.parameters().iter().enumerate() {
+        let (low, high) = range_of(parameter, spec);
+        let inside = low < parameter.neutral && parameter.neutral < high;
+        let shares: &[f64] = match parameter.name {
+            "start_s" => &PLACES,
+            "duration_s" => &[0.05, 0.15],
+            _ if inside => &TWO_SIDED,
+            _ if index == 0 => &ONE_SIDED,
+            _ => &[0.15, 0.6],
+        };
+        combinations = combinations
+            .iter()
+            .flat_map(|values| {
+                shares.iter().map(move |share| {
+                    let mut values = values.clone();
+                    values.push(low + share * (high - low));
+                    values
+                })
+            })
+            .collect();
+    }
+    combinations
+}
+
+/// What is left of a difference once retuning has taken its part.
+pub(crate) struct Beyond {
+    jacobian: DMatrix<f64>,
+    inverse: DMatrix<f64>,
+}
+
+impl Beyond {
+    pub(crate) fn new(fit: &Fit) -> Self {
+        let matrix = normal_matrix(&fit.free, &fit.jacobian);
+        let size = matrix.nrows();
+        let inverse = matrix.try_inverse().unwrap_or_else(|| DMatrix::zeros(size, size));
+        Beyond { jacobian: fit.jacobian.clone(), inverse }
+    }
+
+    pub(crate) fn project(&self, difference: &DVector<f64>) -> DVector<f64> {
+        difference - &self.jacobian * (&self.inverse * self.jacobian.tr_mul(difference))
+    }
+}
