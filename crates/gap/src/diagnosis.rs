@@ -20,7 +20,7 @@ use crate::screen::{Beyond, Candidate, screen, with};
 /// What a diagnosis is asked for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// Effects that are fitted in full.
+    /// Effects that are fitted in full, beside the retuned and beside the nominal machine.
     pub fitted: usize,
     /// Iterations of a fit.
     pub iterations: usize,
@@ -28,7 +28,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Settings { fitted: 8, iterations: 10 }
+        Settings { fitted: 5, iterations: 10 }
     }
 }
 
@@ -61,13 +61,15 @@ pub fn diagnose(
     tell(2);
     let mut candidates = screen(&problem, &retuned);
     tell(3);
-    let mut fits = fit_effects(&problem, &nominal, &retuned, &candidates, settings);
+    let untouched = Fit::at_rest(&problem, &nominal.spec, retunable(spec));
+    let far = screen(&problem, &untouched);
+    let mut fits = fit_effects(&problem, &nominal, &retuned, &candidates, &far, settings);
     // An effect's fit that owes its success to the parameters beside it shows where retuning should have gone.
     let better = repolished(&problem, &retuned, &fits, settings);
     if better.cost < WORTH_ANOTHER_ROUND * retuned.cost {
         retuned = better;
         candidates = screen(&problem, &retuned);
-        fits = fit_effects(&problem, &nominal, &retuned, &candidates, settings);
+        fits = fit_effects(&problem, &nominal, &retuned, &candidates, &far, settings);
     }
     tell(4);
     let weighed: Vec<(&Fit, usize)> =
@@ -214,45 +216,58 @@ fn repolished(
     Fit::new(problem, &start, retuned.free.clone(), 2 * settings.iterations)
 }
 
-/// Fits the most promising effects, each from the retuned machine, and the best of them from the nominal one as well.
+/// Fits the most promising effects: those that explain most beside the retuned machine, and those that do beside the nominal one, since
+/// retuning may have bent other parameters to the gap. The best of all are fitted from both.
 fn fit_effects(
     problem: &Problem<'_>,
     nominal: &Fit,
     retuned: &Fit,
-    candidates: &[Candidate],
+    near: &[Candidate],
+    far: &[Candidate],
     settings: &Settings,
 ) -> Vec<(&'static dyn Effect, Fit)> {
-    let fit = |start: &MachineSpec, candidate: &Candidate| {
-        let machine = with(start, candidate.effect, &candidate.values);
+    let fit = |(candidate, from_nominal): &(&Candidate, bool)| {
+        let start = if *from_nominal { nominal } else { retuned };
+        let machine = with(&start.spec, candidate.effect, &candidate.values);
         let mut free: Vec<Free> = retuned.free.clone();
         free.extend(of_effect(candidate.effect, &machine));
-        Fit::new(problem, &machine, free, settings.iterations)
+        if *from_nominal {
+            Fit::from_afar(problem, &machine, &free, settings.iterations)
+        } else {
+            Fit::new(problem, &machine, free, settings.iterations)
+        }
     };
-    let far = |candidate: &Candidate| {
-        let machine = with(&nominal.spec, candidate.effect, &candidate.values);
-        let mut free: Vec<Free> = retuned.free.clone();
-        free.extend(of_effect(candidate.effect, &machine));
-        Fit::from_afar(problem, &machine, &free, settings.iterations)
-    };
-    let mut fits: Vec<(&Candidate, Fit)> = candidates
-        .par_iter()
-        .take(settings.fitted)
-        .map(|candidate| (candidate, fit(&retuned.spec, candidate)))
-        .collect();
+    let mut starts: Vec<(&Candidate, bool)> = near.iter().take(settings.fitted).map(|c| (c, false)).collect();
+    starts.extend(far.iter().take(settings.fitted).map(|c| (c, true)));
+    let mut fits: Vec<(&'static dyn Effect, Fit)> = Vec::new();
+    keep_better(&mut fits, starts.iter().zip(starts.par_iter().map(fit).collect::<Vec<_>>()));
     fits.sort_by(|a, b| a.1.cost.total_cmp(&b.1.cost));
-    // From the retuned machine a fit may stay where retuning has bent other parameters to the gap.
-    fits.par_iter()
-        .enumerate()
-        .map(|(place, (candidate, first))| {
-            let second = (place < TWICE).then(|| far(candidate));
-            let better = second.filter(|second| second.cost < first.cost).unwrap_or_else(|| first.clone());
-            (candidate.effect, better)
-        })
-        .collect()
+    let best: Vec<&str> = fits.iter().take(TWICE).map(|(effect, _)| effect.key()).collect();
+    let untried = |(candidate, from_nominal): &(&Candidate, bool)| {
+        let key = candidate.effect.key();
+        best.contains(&key) && !starts.iter().any(|(c, n)| c.effect.key() == key && n == from_nominal)
+    };
+    let others = near.iter().map(|c| (c, false)).chain(far.iter().map(|c| (c, true)));
+    let more: Vec<(&Candidate, bool)> = others.filter(untried).collect();
+    keep_better(&mut fits, more.iter().zip(more.par_iter().map(fit).collect::<Vec<_>>()));
+    fits
 }
 
-/// Effects that are fitted from the nominal machine as well.
+/// Effects that are fitted from both machines.
 const TWICE: usize = 3;
+
+fn keep_better<'c>(
+    fits: &mut Vec<(&'static dyn Effect, Fit)>,
+    results: impl Iterator<Item = (&'c (&'c Candidate, bool), Fit)>,
+) {
+    for ((candidate, _), fit) in results {
+        match fits.iter_mut().find(|(effect, _)| effect.key() == candidate.effect.key()) {
+            Some((_, other)) if fit.cost < other.cost => *other = fit,
+            Some(_) => {}
+            None => fits.push((candidate.effect, fit)),
+        }
+    }
+}
 
 fn sorted(ranking: &Ranking) -> Vec<usize> {
     let mut order: Vec<usize> = (0..ranking.effects.len()).collect();

@@ -197,7 +197,9 @@ const SAME_DRIVE: f64 = 0.01;
 const DRIVES: usize = 2;
 /// How many times larger errors are allowed while a fit is still far off: strong directions are found first, and weak ones are held by
 /// their priors.
-const RELAXED: [f64; 3] = [25.0, 5.0, 1.0];
+const RELAXED: [f64; 2] = [25.0, 5.0];
+/// Iterations of a fit with relaxed errors.
+const RELAXED_ITERATIONS: usize = 4;
 
 impl<'r> Problem<'r> {
     /// A problem of some of the record's cycles.
@@ -316,11 +318,7 @@ impl Fit {
     pub fn from_afar(problem: &Problem<'_>, start: &MachineSpec, free: &[Free], iterations: usize) -> Self {
         let mut spec = start.clone();
         for times in RELAXED {
-            let fit = Fit::new(&problem.relaxed(times), &spec, free.to_vec(), iterations);
-            if times == 1.0 {
-                return fit;
-            }
-            spec = fit.spec;
+            spec = Fit::new(&problem.relaxed(times), &spec, free.to_vec(), RELAXED_ITERATIONS).spec;
         }
         Fit::new(problem, &spec, free.to_vec(), iterations)
     }
@@ -342,17 +340,7 @@ impl Fit {
             if converged {
                 break;
             }
-            let moved: Vec<MachineSpec> = (0..free.len())
-                .map(|column| {
-                    let mut there = at.clone();
-                    there[column] += free[column].step(at[column]);
-                    machine(&there)
-                })
-                .collect();
-            for (column, there) in problem.residuals(&moved).iter().enumerate() {
-                let slope = (there - &residual) / free[column].step(at[column]);
-                jacobian.set_column(column, &slope);
-            }
+            jacobian = slopes(problem, &free, &at, &residual, &machine);
             let tried: Vec<DVector<f64>> = DAMPINGS
                 .iter()
                 .filter_map(|factor| step(&free, &at, &jacobian, &residual, damping * factor))
@@ -375,6 +363,20 @@ impl Fit {
         Fit { spec: machine(&at), free, at, residual, jacobian, cost, converged }
     }
 
+    /// A machine as it is, with the derivatives there.
+    pub fn at_rest(problem: &Problem<'_>, spec: &MachineSpec, free: Vec<Free>) -> Self {
+        let at = DVector::from_iterator(free.len(), free.iter().map(|parameter| parameter.read(spec)));
+        let machine = |at: &DVector<f64>| {
+            let mut spec = spec.clone();
+            free.iter().zip(at.iter()).for_each(|(parameter, at)| parameter.write(*at, &mut spec));
+            spec
+        };
+        let residual = problem.residuals(std::slice::from_ref(spec)).swap_remove(0);
+        let cost = residual.norm_squared() + prior_cost(&free, &at);
+        let jacobian = slopes(problem, &free, &at, &residual, &machine);
+        Fit { spec: spec.clone(), free, at, residual, jacobian, cost, converged: false }
+    }
+
     /// Covariance of the coordinates: of the differences' errors and the priors.
     pub fn covariance(&self) -> Option<DMatrix<f64>> {
         normal_matrix(&self.free, &self.jacobian).try_inverse()
@@ -390,6 +392,28 @@ impl Fit {
         };
         (parameter.value(self.at[index]), [end(-1.0), end(1.0)])
     }
+}
+
+/// Derivatives of the differences by simulation.
+fn slopes(
+    problem: &Problem<'_>,
+    free: &[Free],
+    at: &DVector<f64>,
+    residual: &DVector<f64>,
+    machine: &dyn Fn(&DVector<f64>) -> MachineSpec,
+) -> DMatrix<f64> {
+    let moved: Vec<MachineSpec> = (0..free.len())
+        .map(|column| {
+            let mut there = at.clone();
+            there[column] += free[column].step(at[column]);
+            machine(&there)
+        })
+        .collect();
+    let mut jacobian = DMatrix::zeros(residual.len(), free.len());
+    for (column, there) in problem.residuals(&moved).iter().enumerate() {
+        jacobian.set_column(column, &((there - residual) / free[column].step(at[column])));
+    }
+    jacobian
 }
 
 pub(crate) fn prior_cost(free: &[Free], at: &DVector<f64>) -> f64 {
