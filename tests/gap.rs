@@ -194,6 +194,8 @@ fn logs_that_are_too_short_or_lack_a_signal_are_refused() {
         stderr(&output)
     };
     assert!(refusal(&log).contains("at least 3 are needed"));
+    let brief = rewritten(folder.path(), &log, |number, _| number < 5_000);
+    assert!(refusal(&brief).contains("the log is shorter than a cycle"));
     let csv = folder.path().join("command.csv");
     fs::write(&csv, "t_s,command\n0.000,0.1\n0.001,0.2\n").unwrap();
     assert!(refusal(&csv).contains("the log has no position"));

@@ -7,7 +7,6 @@ use seepd_sim::cycle::Instant;
 use seepd_sim::effects::Effect;
 use seepd_sim::{MachineSpec, PlantParameters};
 
-use crate::bench::{View, views};
 use crate::fit::{Fit, Free, Problem, Target, leak_only, of_effect, retunable};
 use crate::places::{phase_spans, places};
 use crate::rank::{Ranking, rank};
@@ -16,6 +15,7 @@ use crate::report::{
     Curves, CycleCounts, Diagnosis, EffectFinding, Gaps, Leaks, Place, Retuned, Shrink, Verdict,
 };
 use crate::screen::{Beyond, Candidate, screen, with};
+use crate::simulate::{View, views};
 
 /// What a diagnosis is asked for.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -8,8 +8,8 @@ use seepd_sim::MachineSpec;
 use seepd_sim::cycle::Instant;
 use seepd_sim::effects::Effect;
 
-use crate::bench::{View, views};
 use crate::record::{BINS, Record};
+use crate::simulate::{View, views};
 
 /// Independent values that a signal is taken to have in a cycle: model errors are alike over a twentieth of a cycle or so, and each bin
 /// counted by itself would be certain of anything.

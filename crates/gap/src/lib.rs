@@ -1,11 +1,10 @@
 //! Where a simulator and a machine part, which effect that the simulator lacks causes it, and how far the gap shrinks once that
 //! effect is added.
 //!
-//! The way: [`record`] aligns a log with the duty cycle and cuts it into cycles; [`bench`] simulates machines along the recorded
+//! The way: [`record`] aligns a log with the duty cycle and cuts it into cycles; [`simulate`] runs machines along the recorded
 //! drive and bins what they show; [`fit`] retunes the plant's own parameters and fits effects; [`screen`] picks the effects that are
 //! worth fitting; [`rank`] weighs effects, "no effect" and "none of these"; [`places`] tells where the gap is; [`diagnosis`] puts it together.
 
-pub mod bench;
 pub mod diagnosis;
 pub mod fit;
 pub mod places;
@@ -13,6 +12,7 @@ pub mod rank;
 pub mod record;
 pub mod report;
 pub mod screen;
+pub mod simulate;
 
 pub use diagnosis::{Settings, cannot_tell, diagnose};
 pub use record::{Log, Record, RecordError};

@@ -6,9 +6,9 @@
 use seepd_signals::Signal;
 use seepd_sim::MachineSpec;
 
-use crate::bench::View;
 use crate::record::{BINS, Record};
 use crate::report::Place;
+use crate::simulate::View;
 
 /// Phases in reports.
 const PHASES: [&str; 7] = ["extend", "press", "hold", "retract", "reversal", "near_zero", "near_end"];

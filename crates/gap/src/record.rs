@@ -119,6 +119,9 @@ impl Record {
         if log.get(Signal::Load).is_none() {
             notes.push("the log has no load; the plant file's is taken".into());
         }
+        if guide.len() < ticks {
+            return Err(RecordError::TooFew { found: 0, reasons: "the log is shorter than a cycle".into() });
+        }
         let (starts, best) = starts(guide, &plan);
         if best < LEAST_CORRELATION {
             return Err(RecordError::Mismatch(format!(

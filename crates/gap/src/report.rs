@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use seepd_sim::MachineSpec;
 use serde::Serialize;
 
-use crate::bench::View;
+use crate::simulate::View;
 
 /// `seepd.gap/1`.
 #[derive(Debug, Clone, Serialize)]

@@ -1,14 +1,10 @@
 //! Coulomb friction of seals and guides: a force against the motion that does not depend on its speed.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
+use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by, direction};
 use crate::real::Real;
 
 /// See the [module](self).
 pub(super) struct CoulombFriction;
-
-/// Speed over which the force changes sign, m/s: a fiftieth of the default cycle's fastest stroke, so that
-/// every move is far outside of it, and slow enough for RK4 at 5 kN on 250 kg (rate 5e3/(250 · 5e-3) = 4e3 1/s).
-const TRANSITION_SPEED_M_PER_S: f64 = 5e-3;
 
 /// Force, N.
 struct Coulomb<T> {
@@ -24,7 +20,7 @@ impl<T: Real> Coulomb<T> {
 impl<T: Real> Law<T> for Coulomb<T> {
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         let state = moment.state;
-        terms.force -= self.force * (state.v * T::splat(1.0 / TRANSITION_SPEED_M_PER_S)).map(libm::tanh);
+        terms.force -= self.force * direction(state.v);
     }
 }
 

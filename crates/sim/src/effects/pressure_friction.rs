@@ -1,6 +1,6 @@
 //! Pressure friction: seals pressed on by the pressure they hold.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
+use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by, direction};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -10,9 +10,6 @@ pub(super) struct PressureFriction;
 struct SealForce<T> {
     coefficient: T,
 }
-
-/// Speed over which the force changes sign, m/s; as in `coulomb_friction`.
-const TRANSITION_SPEED_M_PER_S: f64 = 5e-3;
 
 impl<T: Real> SealForce<T> {
     fn new(values: &[T]) -> Self {
@@ -24,7 +21,7 @@ impl<T: Real> Law<T> for SealForce<T> {
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         let (state, plant) = (moment.state, moment.plant);
         let normal = (state.p_1 - state.p_2).abs() * plant.a_cap;
-        let sign = (state.v * T::splat(1.0 / TRANSITION_SPEED_M_PER_S)).map(libm::tanh);
+        let sign = direction(state.v);
         terms.force -= self.coefficient * normal * sign;
     }
 }

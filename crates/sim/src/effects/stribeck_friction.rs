@@ -1,6 +1,6 @@
 //! Stribeck friction: seals and guides that stick more at rest than in motion.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
+use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by, direction};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -12,9 +12,6 @@ struct Stribeck<T> {
     static_force: T,
     speed: T,
 }
-
-/// Speed over which the force changes sign, m/s: slow enough for RK4 at 8 kN on 250 kg, rate 8e3/(250 · 5e-3) = 6.4e3 1/s.
-const TRANSITION_SPEED_M_PER_S: f64 = 5e-3;
 
 impl<T: Real> Stribeck<T> {
     fn new(values: &[T]) -> Self {
@@ -28,7 +25,7 @@ impl<T: Real> Law<T> for Stribeck<T> {
         let v = moment.state.v;
         let share = v / self.speed;
         let added = (self.static_force - self.force).max(T::splat(0.0)) * (-(share * share)).map(libm::exp);
-        let sign = (v * T::splat(1.0 / TRANSITION_SPEED_M_PER_S)).map(libm::tanh);
+        let sign = direction(v);
         terms.force -= (self.force + added) * sign;
     }
 }

@@ -1,4 +1,4 @@
-//! The test bench: machines simulated along a recorded drive, closed loop, and what they show in bins.
+//! Machines simulated along a recorded drive, closed loop, and what they show in bins.
 
 use rayon::prelude::*;
 use seepd_signals::Signal;
