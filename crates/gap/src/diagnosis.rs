@@ -100,20 +100,21 @@ pub fn diagnose(
         .zip(&probabilities)
         .zip(of_effects)
         .map(|(((effect, fit), probability), gaps)| {
-            let own: Vec<(usize, &'static str)> = fit
+            type Estimate = (f64, [f64; 2]);
+            let own: Vec<(&'static str, Estimate)> = fit
                 .free
                 .iter()
-                .enumerate()
-                .filter_map(|(at, free)| match free.target {
-                    Target::Effect(of, index) => Some((at, of.parameters()[index].name)),
+                .zip(fit.estimates())
+                .filter_map(|(free, estimate)| match free.target {
+                    Target::Effect(of, index) => Some((of.parameters()[index].name, estimate)),
                     _ => None,
                 })
                 .collect();
             EffectFinding {
                 effect: effect.key(),
                 probability: *probability,
-                parameters: own.iter().map(|(at, name)| (*name, fit.estimate(*at).0)).collect(),
-                interval95: own.iter().map(|(at, name)| (*name, fit.estimate(*at).1)).collect(),
+                parameters: own.iter().map(|(name, estimate)| (*name, estimate.0)).collect(),
+                interval95: own.iter().map(|(name, estimate)| (*name, estimate.1)).collect(),
                 shrink: shrink(gaps, true),
                 equivalent: equivalents(&beyond, &retuned, *effect, fit, &fits),
             }
@@ -390,10 +391,9 @@ impl Measured<'_> {
 
 fn retuned_parameters(nominal: &MachineSpec, retuned: &Fit) -> BTreeMap<&'static str, Retuned> {
     let mut told = BTreeMap::new();
-    for (index, parameter) in retuned.free.iter().enumerate() {
+    for (parameter, (fitted, interval95)) in retuned.free.iter().zip(retuned.estimates()) {
         let Target::Plant(key) = parameter.target else { continue };
         let symbol = PlantParameters::ALL.iter().find(|info| info.key == key).map_or(key, |info| info.symbol);
-        let (fitted, interval95) = retuned.estimate(index);
         told.insert(
             symbol,
             Retuned { nominal: nominal.plant.get(key).unwrap_or(f64::NAN), fitted, interval95 },

@@ -304,8 +304,6 @@ pub struct Fit {
     pub jacobian: DMatrix<f64>,
     /// Sum of squares of differences and priors.
     pub cost: f64,
-    /// Whether the last step gained next to nothing.
-    pub converged: bool,
 }
 
 /// Gain below which a fit has converged, in log-likelihood, and as a share of the cost.
@@ -325,13 +323,9 @@ impl Fit {
 
     /// Fits the free parameters of a machine, from where they are.
     pub fn new(problem: &Problem<'_>, start: &MachineSpec, free: Vec<Free>, iterations: usize) -> Self {
-        let mut at = DVector::from_iterator(free.len(), free.iter().map(|parameter| parameter.read(start)));
+        let mut at = coordinates(start, &free);
         let mut damping = 1.0;
-        let machine = |at: &DVector<f64>| {
-            let mut spec = start.clone();
-            free.iter().zip(at.iter()).for_each(|(parameter, at)| parameter.write(*at, &mut spec));
-            spec
-        };
+        let machine = |at: &DVector<f64>| placed(start, &free, at);
         let mut residual = problem.residuals(&[machine(&at)]).swap_remove(0);
         let mut cost = residual.norm_squared() + prior_cost(&free, &at);
         let mut jacobian = DMatrix::zeros(residual.len(), free.len());
@@ -360,38 +354,44 @@ impl Fit {
                 _ => converged = true,
             }
         }
-        Fit { spec: machine(&at), free, at, residual, jacobian, cost, converged }
+        Fit { spec: machine(&at), free, at, residual, jacobian, cost }
     }
 
     /// A machine as it is, with the derivatives there.
     pub fn at_rest(problem: &Problem<'_>, spec: &MachineSpec, free: Vec<Free>) -> Self {
-        let at = DVector::from_iterator(free.len(), free.iter().map(|parameter| parameter.read(spec)));
-        let machine = |at: &DVector<f64>| {
-            let mut spec = spec.clone();
-            free.iter().zip(at.iter()).for_each(|(parameter, at)| parameter.write(*at, &mut spec));
-            spec
-        };
+        let at = coordinates(spec, &free);
+        let machine = |at: &DVector<f64>| placed(spec, &free, at);
         let residual = problem.residuals(std::slice::from_ref(spec)).swap_remove(0);
         let cost = residual.norm_squared() + prior_cost(&free, &at);
         let jacobian = slopes(problem, &free, &at, &residual, &machine);
-        Fit { spec: spec.clone(), free, at, residual, jacobian, cost, converged: false }
+        Fit { spec: spec.clone(), free, at, residual, jacobian, cost }
     }
 
-    /// Covariance of the coordinates: of the differences' errors and the priors.
-    pub fn covariance(&self) -> Option<DMatrix<f64>> {
-        normal_matrix(&self.free, &self.jacobian).try_inverse()
-    }
-
-    /// Value of a parameter with its 95 % interval.
-    pub fn estimate(&self, index: usize) -> (f64, [f64; 2]) {
-        let parameter = &self.free[index];
-        let spread = self.covariance().map_or(f64::INFINITY, |c| c[(index, index)].max(0.0).sqrt());
-        let end = |side: f64| {
-            let at = self.at[index] + side * 1.96 * spread;
-            parameter.value(at.clamp(parameter.low, parameter.high))
+    /// Value of each parameter with its 95 % interval, from the covariance of differences and priors.
+    pub fn estimates(&self) -> Vec<(f64, [f64; 2])> {
+        let covariance = normal_matrix(&self.free, &self.jacobian).try_inverse();
+        let estimate = |(index, parameter): (usize, &Free)| {
+            let spread = covariance.as_ref().map_or(f64::INFINITY, |c| c[(index, index)].max(0.0).sqrt());
+            let end = |side: f64| {
+                let at = self.at[index] + side * 1.96 * spread;
+                parameter.value(at.clamp(parameter.low, parameter.high))
+            };
+            (parameter.value(self.at[index]), [end(-1.0), end(1.0)])
         };
-        (parameter.value(self.at[index]), [end(-1.0), end(1.0)])
+        self.free.iter().enumerate().map(estimate).collect()
     }
+}
+
+/// A machine's coordinates.
+fn coordinates(spec: &MachineSpec, free: &[Free]) -> DVector<f64> {
+    DVector::from_iterator(free.len(), free.iter().map(|parameter| parameter.read(spec)))
+}
+
+/// A machine at these coordinates.
+fn placed(spec: &MachineSpec, free: &[Free], at: &DVector<f64>) -> MachineSpec {
+    let mut spec = spec.clone();
+    free.iter().zip(at.iter()).for_each(|(parameter, at)| parameter.write(*at, &mut spec));
+    spec
 }
 
 /// Derivatives of the differences by simulation.

@@ -5,6 +5,8 @@
 //! (Schwarz, Annals of Statistics 6 (1978)). "None of these" is scored as an explanation that leaves a third of the retuned gap: an effect
 //! that leaves less beats it, and one that leaves more does not.
 
+use seepd_sim::effects;
+
 use crate::fit::{Fit, INDEPENDENT, Problem, prior_cost};
 
 /// Rest of the retuned gap that the right cause under another law leaves, share of its RMS.
@@ -40,7 +42,7 @@ fn score(problem: &Problem<'_>, fit: &Fit, parameters: f64) -> f64 {
 }
 
 /// Weighs the explanations.
-pub fn rank(problem: &Problem<'_>, retuned: &Fit, effects: &[(&Fit, usize)]) -> Ranking {
+pub fn rank(problem: &Problem<'_>, retuned: &Fit, fits: &[(&Fit, usize)]) -> Ranking {
     let none = score(problem, retuned, 0.0);
     let rest: Vec<f64> = problem
         .by_signal(&retuned.residual)
@@ -48,10 +50,10 @@ pub fn rank(problem: &Problem<'_>, retuned: &Fit, effects: &[(&Fit, usize)]) -> 
         .map(|square| (square * REST_OF_A_NAMED_CAUSE * REST_OF_A_NAMED_CAUSE).max(square.min(1.0)))
         .collect();
     let unknown = likelihood(&rest) - 0.5 * UNKNOWN_PARAMETERS * INDEPENDENT.ln();
-    let each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / 32.0;
+    let each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / effects::ALL.len() as f64;
     let mut logs = vec![TEMPER * none + PRIOR_NONE.ln(), TEMPER * unknown + PRIOR_UNKNOWN.ln()];
     logs.extend(
-        effects.iter().map(|(fit, parameters)| TEMPER * score(problem, fit, *parameters as f64) + each.ln()),
+        fits.iter().map(|(fit, parameters)| TEMPER * score(problem, fit, *parameters as f64) + each.ln()),
     );
     let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let weights: Vec<f64> = logs.iter().map(|log| (log - highest).exp()).collect();

@@ -102,9 +102,5 @@ pub(crate) fn leak_rates(spec: &MachineSpec) -> Vec<LeakRate> {
 
 /// Flow of an area at the reference pressure difference, L/min: C_d A √(2 Δp / ρ).
 pub(crate) fn orifice_lpm(spec: &MachineSpec, leak_area_m2: f64) -> f64 {
-    let plant = &spec.plant;
-    plant.discharge_coefficient
-        * leak_area_m2
-        * (2.0 * REFERENCE_DP_PA / plant.density_kg_per_m3).sqrt()
-        * LPM_PER_M3_PER_S
+    spec.plant.orifice_flow_m3_per_s(leak_area_m2, REFERENCE_DP_PA) * LPM_PER_M3_PER_S
 }
