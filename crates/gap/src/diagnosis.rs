@@ -7,7 +7,7 @@ use seepd_sim::cycle::Instant;
 use seepd_sim::effects::Effect;
 use seepd_sim::{MachineSpec, PlantParameters};
 
-use crate::fit::{Fit, Free, Problem, Target, leak_only, of_effect, retunable};
+use crate::fit::{Fit, Problem, Target, leak_only, of_effect, retunable};
 use crate::places::{phase_spans, places};
 use crate::rank::{Ranking, rank};
 use crate::record::{BINS, ENOUGH_CYCLES, Record};
@@ -18,17 +18,19 @@ use crate::screen::{Beyond, Candidate, screen, with};
 use crate::simulate::{View, views};
 
 /// What a diagnosis is asked for.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
     /// Effects that are fitted in full, beside the retuned and beside the nominal machine.
     pub fitted: usize,
     /// Iterations of a fit.
     pub iterations: usize,
+    /// Effects of the catalogue that are left out.
+    pub without: Vec<String>,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Settings { fitted: 5, iterations: 10 }
+        Settings { fitted: 5, iterations: 10, without: Vec::new() }
     }
 }
 
@@ -52,24 +54,26 @@ pub fn diagnose(
     settings: &Settings,
     tell: &mut dyn FnMut(usize),
 ) -> Diagnosis {
-    let held_out: Vec<usize> = (0..record.cycles.len()).filter(|cycle| cycle % 3 == 2).collect();
-    let fitted: Vec<usize> = (0..record.cycles.len()).filter(|cycle| cycle % 3 != 2).collect();
+    let (fitted, held_out) = split(record);
     let problem = Problem::new(record, &fitted);
-    let nominal = Fit::new(&problem, spec, leak_only(), settings.iterations);
+    let nominal = Fit::at(&problem, spec, leak_only()).fitted(&problem, settings.iterations);
     tell(1);
-    let mut retuned = Fit::from_afar(&problem, &nominal.spec, &retunable(spec), 2 * settings.iterations);
+    let untouched = Fit::at(&problem, &nominal.spec, retunable(spec));
+    let (retuned, far) = rayon::join(
+        || untouched.clone().from_afar(&problem, 2 * settings.iterations).renewed(&problem),
+        || screen(&problem, &untouched, &settings.without),
+    );
+    let mut retuned = retuned;
     tell(2);
-    let mut candidates = screen(&problem, &retuned);
+    let mut candidates = screen(&problem, &retuned, &settings.without);
     tell(3);
-    let untouched = Fit::at_rest(&problem, &nominal.spec, retunable(spec));
-    let far = screen(&problem, &untouched);
-    let mut fits = fit_effects(&problem, &nominal, &retuned, &candidates, &far, settings);
+    let mut fits = fit_effects(&problem, &untouched, &retuned, &candidates, &far, settings);
     // An effect's fit that owes its success to the parameters beside it shows where retuning should have gone.
     let better = repolished(&problem, &retuned, &fits, settings);
     if better.cost < WORTH_ANOTHER_ROUND * retuned.cost {
         retuned = better;
-        candidates = screen(&problem, &retuned);
-        fits = fit_effects(&problem, &nominal, &retuned, &candidates, &far, settings);
+        candidates = screen(&problem, &retuned, &settings.without);
+        fits = fit_effects(&problem, &untouched, &retuned, &candidates, &far, settings);
     }
     tell(4);
     let weighed: Vec<(&Fit, usize)> =
@@ -158,6 +162,20 @@ pub fn diagnose(
     diagnosis
 }
 
+/// Gap of a machine whose leak alone is fitted, by signal, on the cycles that a diagnosis holds out.
+pub fn nominal_gap(record: &Record, spec: &MachineSpec) -> BTreeMap<&'static str, f64> {
+    let (fitted, held_out) = split(record);
+    let problem = Problem::new(record, &fitted);
+    let nominal = Fit::at(&problem, spec, leak_only()).fitted(&problem, Settings::default().iterations);
+    let gaps = Measured { record, cycles: &held_out }.gaps(&[nominal.spec]).swap_remove(0);
+    record.signals.iter().map(|signal| signal.name()).zip(gaps).collect()
+}
+
+/// Cycles that are fitted to, and every third, which is held out.
+fn split(record: &Record) -> (Vec<usize>, Vec<usize>) {
+    (0..record.cycles.len()).partition(|cycle| cycle % 3 != 2)
+}
+
 /// The answer to a log that says nothing, with the reason.
 pub fn cannot_tell(spec: &MachineSpec, reason: String) -> Diagnosis {
     Diagnosis {
@@ -214,28 +232,27 @@ fn repolished(
     let Some((effect, fit)) = best else { return retuned.clone() };
     let mut start = fit.spec.clone();
     start.effects.remove(effect.key());
-    Fit::new(problem, &start, retuned.free.clone(), 2 * settings.iterations)
+    Fit::at(problem, &start, retuned.free.clone()).fitted(problem, 2 * settings.iterations).renewed(problem)
 }
 
 /// Fits the most promising effects: those that explain most beside the retuned machine, and those that do beside the nominal one, since
 /// retuning may have bent other parameters to the gap. The best of all are fitted from both.
 fn fit_effects(
     problem: &Problem<'_>,
-    nominal: &Fit,
+    untouched: &Fit,
     retuned: &Fit,
     near: &[Candidate],
     far: &[Candidate],
     settings: &Settings,
 ) -> Vec<(&'static dyn Effect, Fit)> {
     let fit = |(candidate, from_nominal): &(&Candidate, bool)| {
-        let start = if *from_nominal { nominal } else { retuned };
+        let start = if *from_nominal { untouched } else { retuned };
         let machine = with(&start.spec, candidate.effect, &candidate.values);
-        let mut free: Vec<Free> = retuned.free.clone();
-        free.extend(of_effect(candidate.effect, &machine));
+        let fit = start.extended(problem, &machine, of_effect(candidate.effect, &machine));
         if *from_nominal {
-            Fit::from_afar(problem, &machine, &free, settings.iterations)
+            fit.from_afar(problem, settings.iterations)
         } else {
-            Fit::new(problem, &machine, free, settings.iterations)
+            fit.fitted(problem, settings.iterations)
         }
     };
     let mut starts: Vec<(&Candidate, bool)> = near.iter().take(settings.fitted).map(|c| (c, false)).collect();

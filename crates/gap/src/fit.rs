@@ -7,6 +7,7 @@ use nalgebra::{DMatrix, DVector};
 use seepd_sim::MachineSpec;
 use seepd_sim::cycle::Instant;
 use seepd_sim::effects::Effect;
+use seepd_sim::real::LANES;
 
 use crate::record::{BINS, Record};
 use crate::simulate::{View, views};
@@ -225,12 +226,6 @@ impl<'r> Problem<'r> {
         Problem { record, drives, shown, weights }
     }
 
-    /// The same with errors that are so many times larger.
-    fn relaxed(&self, times: f64) -> Self {
-        let weights = self.weights.iter().map(|weight| weight / times).collect();
-        Problem { record: self.record, drives: self.drives.clone(), shown: self.shown.clone(), weights }
-    }
-
     /// Weighted differences of simulation and record, one row a machine: by drive, signal, bin.
     pub fn residuals(&self, machines: &[MachineSpec]) -> Vec<DVector<f64>> {
         let length = self.drives.len() * self.record.signals.len() * BINS;
@@ -304,72 +299,154 @@ pub struct Fit {
     pub jacobian: DMatrix<f64>,
     /// Sum of squares of differences and priors.
     pub cost: f64,
+    /// Steps since the derivatives were simulated; Broyden's updates have carried them since.
+    age: usize,
 }
 
 /// Gain below which a fit has converged, in log-likelihood, and as a share of the cost.
 const LEAST_GAIN: (f64, f64) = (0.02, 1e-3);
-/// Dampings that are tried side by side, times the present one.
-const DAMPINGS: [f64; 8] = [0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0];
+/// Dampings that are tried side by side, times the present one: one batch of lanes.
+const DAMPINGS: [f64; LANES] = [0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0];
+/// Steps after which derivatives are simulated anew.
+const OLD_AGE: usize = 3;
 
 impl Fit {
-    /// Fits the free parameters of a machine that may be far off: with errors that shrink step by step.
-    pub fn from_afar(problem: &Problem<'_>, start: &MachineSpec, free: &[Free], iterations: usize) -> Self {
-        let mut spec = start.clone();
-        for times in RELAXED {
-            spec = Fit::new(&problem.relaxed(times), &spec, free.to_vec(), RELAXED_ITERATIONS).spec;
-        }
-        Fit::new(problem, &spec, free.to_vec(), iterations)
-    }
-
-    /// Fits the free parameters of a machine, from where they are.
-    pub fn new(problem: &Problem<'_>, start: &MachineSpec, free: Vec<Free>, iterations: usize) -> Self {
-        let mut at = coordinates(start, &free);
-        let mut damping = 1.0;
-        let machine = |at: &DVector<f64>| placed(start, &free, at);
-        let mut residual = problem.residuals(&[machine(&at)]).swap_remove(0);
-        let mut cost = residual.norm_squared() + prior_cost(&free, &at);
-        let mut jacobian = DMatrix::zeros(residual.len(), free.len());
-        let mut converged = free.is_empty();
-        for _ in 0..iterations {
-            if converged {
-                break;
-            }
-            jacobian = slopes(problem, &free, &at, &residual, &machine);
-            let tried: Vec<DVector<f64>> = DAMPINGS
-                .iter()
-                .filter_map(|factor| step(&free, &at, &jacobian, &residual, damping * factor))
-                .collect();
-            let machines: Vec<MachineSpec> = tried.iter().map(&machine).collect();
-            let results = problem.residuals(&machines);
-            let costs = results.iter().zip(&tried).map(|(r, at)| r.norm_squared() + prior_cost(&free, at));
-            let best = costs.enumerate().min_by(|a, b| a.1.total_cmp(&b.1));
-            match best {
-                Some((index, better)) if better < cost => {
-                    converged = cost - better < LEAST_GAIN.0 + LEAST_GAIN.1 * cost;
-                    damping = (damping * DAMPINGS[index.min(DAMPINGS.len() - 1)]).clamp(1e-6, 1e6);
-                    at = tried[index].clone();
-                    residual = results[index].clone();
-                    cost = better;
-                }
-                _ => converged = true,
-            }
-        }
-        Fit { spec: machine(&at), free, at, residual, jacobian, cost }
-    }
-
     /// A machine as it is, with the derivatives there.
-    pub fn at_rest(problem: &Problem<'_>, spec: &MachineSpec, free: Vec<Free>) -> Self {
+    pub fn at(problem: &Problem<'_>, spec: &MachineSpec, free: Vec<Free>) -> Self {
         let at = coordinates(spec, &free);
-        let machine = |at: &DVector<f64>| placed(spec, &free, at);
         let residual = problem.residuals(std::slice::from_ref(spec)).swap_remove(0);
         let cost = residual.norm_squared() + prior_cost(&free, &at);
-        let jacobian = slopes(problem, &free, &at, &residual, &machine);
-        Fit { spec: spec.clone(), free, at, residual, jacobian, cost }
+        let columns: Vec<usize> = (0..free.len()).collect();
+        let mut jacobian = DMatrix::zeros(residual.len(), free.len());
+        slopes(problem, spec, &free, &at, &residual, &columns, &mut jacobian);
+        Fit { spec: spec.clone(), free, at, residual, jacobian, cost, age: 0 }
+    }
+
+    /// This machine with further parameters, changed to `spec`: the derivatives by what was free before are taken over.
+    pub fn extended(&self, problem: &Problem<'_>, spec: &MachineSpec, further: Vec<Free>) -> Self {
+        let before = self.free.len();
+        let free: Vec<Free> = self.free.iter().copied().chain(further).collect();
+        let at = coordinates(spec, &free);
+        let residual = problem.residuals(std::slice::from_ref(spec)).swap_remove(0);
+        let cost = residual.norm_squared() + prior_cost(&free, &at);
+        let columns: Vec<usize> = (before..free.len()).collect();
+        let mut jacobian = self.jacobian.clone().resize_horizontally(free.len(), 0.0);
+        slopes(problem, spec, &free, &at, &residual, &columns, &mut jacobian);
+        Fit { spec: spec.clone(), free, at, residual, jacobian, cost, age: OLD_AGE - 1 }
+    }
+
+    /// Fits from a machine that may be far off: with errors that shrink step by step.
+    pub fn from_afar(self, problem: &Problem<'_>, iterations: usize) -> Self {
+        let near = RELAXED
+            .iter()
+            .fold(self, |fit, times| fit.descended(problem, times.powi(2).recip(), RELAXED_ITERATIONS));
+        near.fitted(problem, iterations)
+    }
+
+    /// Fits from where the machine is.
+    pub fn fitted(self, problem: &Problem<'_>, iterations: usize) -> Self {
+        self.descended(problem, 1.0, iterations)
+    }
+
+    /// The same with derivatives simulated where it is.
+    pub fn renewed(mut self, problem: &Problem<'_>) -> Self {
+        if self.age > 0 {
+            let columns: Vec<usize> = (0..self.free.len()).collect();
+            let Fit { spec, free, at, residual, jacobian, .. } = &mut self;
+            slopes(problem, spec, free, at, residual, &columns, jacobian);
+            self.age = 0;
+        }
+        self
+    }
+
+    /// Goes down the cost in which the squared differences count by `weight`. Derivatives are carried from step to step (Broyden,
+    /// Mathematics of Computation 19 (1965)) and simulated anew when they are old or lead nowhere.
+    fn descended(mut self, problem: &Problem<'_>, weight: f64, iterations: usize) -> Self {
+        let mut damping = 1.0;
+        let cost_of = |residual: &DVector<f64>, free: &[Free], at: &DVector<f64>| {
+            weight * residual.norm_squared() + prior_cost(free, at)
+        };
+        let mut cost = cost_of(&self.residual, &self.free, &self.at);
+        for _ in 0..iterations {
+            if self.age >= OLD_AGE {
+                self = self.renewed(problem);
+            }
+            let tried: Vec<(f64, DVector<f64>)> = DAMPINGS
+                .iter()
+                .filter_map(|factor| Some((damping * factor, self.step(weight, damping * factor)?)))
+                .collect();
+            let machines: Vec<MachineSpec> =
+                tried.iter().map(|(_, at)| placed(&self.spec, &self.free, at)).collect();
+            let results = problem.residuals(&machines);
+            let best = results
+                .into_iter()
+                .zip(tried)
+                .map(|(residual, (damping, at))| (cost_of(&residual, &self.free, &at), residual, damping, at))
+                .min_by(|a, b| a.0.total_cmp(&b.0));
+            let gain = best.as_ref().map_or(0.0, |best| cost - best.0);
+            let settled = gain < LEAST_GAIN.0 + LEAST_GAIN.1 * cost;
+            let fresh = self.age == 0;
+            if let Some((better, residual, by, at)) = best.filter(|_| gain > 0.0) {
+                damping = by.clamp(1e-6, 1e6);
+                cost = better;
+                self.moved(at, residual);
+            }
+            if settled {
+                if fresh {
+                    break;
+                }
+                self.age = OLD_AGE;
+            }
+        }
+        self.cost = self.residual.norm_squared() + prior_cost(&self.free, &self.at);
+        self
+    }
+
+    /// Takes a step and what it showed.
+    fn moved(&mut self, at: DVector<f64>, residual: DVector<f64>) {
+        let step = &at - &self.at;
+        let surprise = &residual - &self.residual - &self.jacobian * &step;
+        self.jacobian.ger(1.0 / step.norm_squared().max(1e-18), &surprise, &step, 1.0);
+        self.spec = placed(&self.spec, &self.free, &at);
+        self.at = at;
+        self.residual = residual;
+        self.age += 1;
+    }
+
+    /// Where a damped step leads.
+    fn step(&self, weight: f64, damping: f64) -> Option<DVector<f64>> {
+        let mut gradient = self.jacobian.tr_mul(&self.residual) * weight;
+        for (index, parameter) in self.free.iter().enumerate() {
+            if let Some((centre, sigma)) = parameter.prior {
+                gradient[index] += (self.at[index] - centre) / (sigma * sigma);
+            }
+        }
+        let mut matrix = normal_matrix(&self.free, &self.jacobian, weight);
+        // What would leave its bounds stands still.
+        for (index, parameter) in self.free.iter().enumerate() {
+            let outward = (self.at[index] <= parameter.low && gradient[index] > 0.0)
+                || (self.at[index] >= parameter.high && gradient[index] < 0.0);
+            if outward {
+                gradient[index] = 0.0;
+                matrix.row_mut(index).fill(0.0);
+                matrix.column_mut(index).fill(0.0);
+                matrix[(index, index)] = 1.0;
+            }
+        }
+        for index in 0..self.free.len() {
+            matrix[(index, index)] *= 1.0 + damping;
+        }
+        let change = matrix.cholesky()?.solve(&gradient);
+        let mut there = &self.at - change;
+        for (value, parameter) in there.iter_mut().zip(&self.free) {
+            *value = value.clamp(parameter.low, parameter.high);
+        }
+        Some(there)
     }
 
     /// Value of each parameter with its 95 % interval, from the covariance of differences and priors.
     pub fn estimates(&self) -> Vec<(f64, [f64; 2])> {
-        let covariance = normal_matrix(&self.free, &self.jacobian).try_inverse();
+        let covariance = normal_matrix(&self.free, &self.jacobian, 1.0).try_inverse();
         let estimate = |(index, parameter): (usize, &Free)| {
             let spread = covariance.as_ref().map_or(f64::INFINITY, |c| c[(index, index)].max(0.0).sqrt());
             let end = |side: f64| {
@@ -394,26 +471,27 @@ fn placed(spec: &MachineSpec, free: &[Free], at: &DVector<f64>) -> MachineSpec {
     spec
 }
 
-/// Derivatives of the differences by simulation.
+/// Derivatives of the differences by some of the parameters, by simulation.
 fn slopes(
     problem: &Problem<'_>,
+    spec: &MachineSpec,
     free: &[Free],
     at: &DVector<f64>,
     residual: &DVector<f64>,
-    machine: &dyn Fn(&DVector<f64>) -> MachineSpec,
-) -> DMatrix<f64> {
-    let moved: Vec<MachineSpec> = (0..free.len())
+    columns: &[usize],
+    jacobian: &mut DMatrix<f64>,
+) {
+    let moved: Vec<MachineSpec> = columns
+        .iter()
         .map(|column| {
             let mut there = at.clone();
-            there[column] += free[column].step(at[column]);
-            machine(&there)
+            there[*column] += free[*column].step(at[*column]);
+            placed(spec, free, &there)
         })
         .collect();
-    let mut jacobian = DMatrix::zeros(residual.len(), free.len());
-    for (column, there) in problem.residuals(&moved).iter().enumerate() {
-        jacobian.set_column(column, &((there - residual) / free[column].step(at[column])));
+    for (column, there) in columns.iter().zip(problem.residuals(&moved)) {
+        jacobian.set_column(*column, &((there - residual) / free[*column].step(at[*column])));
     }
-    jacobian
 }
 
 pub(crate) fn prior_cost(free: &[Free], at: &DVector<f64>) -> f64 {
@@ -423,48 +501,12 @@ pub(crate) fn prior_cost(free: &[Free], at: &DVector<f64>) -> f64 {
         .sum()
 }
 
-/// JᵀJ with the priors on its diagonal.
-pub(crate) fn normal_matrix(free: &[Free], jacobian: &DMatrix<f64>) -> DMatrix<f64> {
-    let mut matrix = jacobian.tr_mul(jacobian);
+/// JᵀJ, times the weight of differences, with the priors on its diagonal.
+pub(crate) fn normal_matrix(free: &[Free], jacobian: &DMatrix<f64>, weight: f64) -> DMatrix<f64> {
+    let mut matrix = jacobian.tr_mul(jacobian) * weight;
     for (index, parameter) in free.iter().enumerate() {
         // A parameter that nothing depends on and no prior holds stays where it is.
         matrix[(index, index)] += parameter.prior.map_or(1e-6, |(_, sigma)| 1.0 / (sigma * sigma));
     }
     matrix
-}
-
-fn step(
-    free: &[Free],
-    at: &DVector<f64>,
-    jacobian: &DMatrix<f64>,
-    residual: &DVector<f64>,
-    damping: f64,
-) -> Option<DVector<f64>> {
-    let mut gradient = jacobian.tr_mul(residual);
-    for (index, parameter) in free.iter().enumerate() {
-        if let Some((centre, sigma)) = parameter.prior {
-            gradient[index] += (at[index] - centre) / (sigma * sigma);
-        }
-    }
-    let mut matrix = normal_matrix(free, jacobian);
-    // What would leave its bounds stands still.
-    for (index, parameter) in free.iter().enumerate() {
-        let outward = (at[index] <= parameter.low && gradient[index] > 0.0)
-            || (at[index] >= parameter.high && gradient[index] < 0.0);
-        if outward {
-            gradient[index] = 0.0;
-            matrix.row_mut(index).fill(0.0);
-            matrix.column_mut(index).fill(0.0);
-            matrix[(index, index)] = 1.0;
-        }
-    }
-    for index in 0..free.len() {
-        matrix[(index, index)] *= 1.0 + damping;
-    }
-    let change = matrix.cholesky()?.solve(&gradient);
-    let mut there = at - change;
-    for (value, parameter) in there.iter_mut().zip(free) {
-        *value = value.clamp(parameter.low, parameter.high);
-    }
-    Some(there)
 }

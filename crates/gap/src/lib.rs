@@ -14,6 +14,6 @@ pub mod report;
 pub mod screen;
 pub mod simulate;
 
-pub use diagnosis::{Settings, cannot_tell, diagnose};
+pub use diagnosis::{Settings, cannot_tell, diagnose, nominal_gap};
 pub use record::{Log, Record, RecordError};
 pub use report::Diagnosis;

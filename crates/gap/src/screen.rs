@@ -25,12 +25,12 @@ const TWO_SIDED: [f64; 4] = [0.12, 0.38, 0.62, 0.88];
 /// Levels of parameters that are places or times.
 const PLACES: [f64; 6] = [0.05, 0.2, 0.35, 0.5, 0.65, 0.8];
 
-/// Screens the catalogue on the retuned machine; the most promising first.
-pub fn screen(problem: &Problem<'_>, retuned: &Fit) -> Vec<Candidate> {
+/// Screens the catalogue, but for some effects, on the retuned machine; the most promising first.
+pub fn screen(problem: &Problem<'_>, retuned: &Fit, without: &[String]) -> Vec<Candidate> {
     let mut tried: Vec<(&'static dyn Effect, Vec<f64>)> = Vec::new();
     for effect in effects::ALL.iter().copied() {
         // What the plant file has already is part of the plant.
-        if !retuned.spec.effects.contains_key(effect.key()) {
+        if !retuned.spec.effects.contains_key(effect.key()) && !without.iter().any(|key| key == effect.key()) {
             tried.extend(levels(effect, &retuned.spec).into_iter().map(|values| (effect, values)));
         }
     }
@@ -101,7 +101,7 @@ pub(crate) struct Beyond {
 
 impl Beyond {
     pub(crate) fn new(fit: &Fit) -> Self {
-        let matrix = normal_matrix(&fit.free, &fit.jacobian);
+        let matrix = normal_matrix(&fit.free, &fit.jacobian, 1.0);
         let size = matrix.nrows();
         let inverse = matrix.try_inverse().unwrap_or_else(|| DMatrix::zeros(size, size));
         Beyond { jacobian: fit.jacobian.clone(), inverse }

@@ -4,12 +4,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use clap::Args;
+use clap::{Args, Subcommand};
 use seepd_gap::report::{Diagnosis, Verdict};
 use seepd_gap::{Log, Record, RecordError, Settings, cannot_tell, diagnose};
+use seepd_settings::unknown_key;
 use seepd_signals::Signal;
 use seepd_sim::MachineSpec;
 
+use super::blind::BlindArguments;
 use super::simulate::read_plant;
 use crate::cli::Outcome;
 use crate::config::{Config, Selection};
@@ -25,12 +27,15 @@ use crate::source;
 ///
 /// Needs command and position; demand, load and pressures help. Signals are mapped as in `replay`.
 #[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 #[command(after_help = "Examples:\n  seepd gap press-3.mcap --plant press-3.toml\n  \
                         seepd gap press-3.mcap --json diagnosis.json --html gap.html --emit-plant as-it-is.toml")]
 pub struct GapArguments {
+    #[command(subcommand)]
+    blind: Option<Other>,
     /// Log: MCAP, CSV or candump
-    #[arg(value_name = "LOG")]
-    log: PathBuf,
+    #[arg(value_name = "LOG", required = true)]
+    log: Option<PathBuf>,
     /// Plant file instead of the nominal press
     #[arg(long, value_name = "FILE")]
     plant: Option<PathBuf>,
@@ -52,9 +57,26 @@ pub struct GapArguments {
     /// Write the plant file with the retuned parameters and the chosen effects
     #[arg(long, value_name = "FILE")]
     emit_plant: Option<PathBuf>,
+    /// Effect that the catalogue is to lack; may be repeated
+    #[arg(long, value_name = "EFFECT", value_parser = known_effect)]
+    without: Vec<String>,
     /// Threads [default: one a core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Other {
+    /// Check the diagnosis on logs whose cause is withheld from it
+    Blind(BlindArguments),
+}
+
+fn known_effect(key: &str) -> Result<String, String> {
+    if seepd_sim::effects::find(key).is_some() {
+        return Ok(key.to_owned());
+    }
+    let known: Vec<&str> = seepd_sim::effects::ALL.iter().map(|effect| effect.key()).collect();
+    Err(unknown_key(key, &known).to_string())
 }
 
 /// Most cycles that are read: more add nothing but time.
@@ -70,46 +92,81 @@ const MOST_CYCLES: f64 = 48.0;
 )]
 pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
     let begin = std::time::Instant::now();
+    if let Some(Other::Blind(arguments)) = &arguments.blind {
+        return super::blind::run(arguments);
+    }
+    let Some(path) = &arguments.log else {
+        return Err(Failure::new(Code::Usage, "name the log to diagnose"));
+    };
     let spec = read_plant(arguments.plant.as_deref())?;
     let mut config = arguments.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
     config.selection = Selection { topic: arguments.topic.clone(), command: None };
     config.dbc = arguments.dbc.clone().or(config.dbc);
-    let mut notes = Vec::new();
-    let log = read(&arguments.log, &config, &spec, &mut notes)?;
-    let name = arguments.log.display();
-    let record = match Record::new(&log, &spec) {
-        Ok(record) => record,
-        // Something is wrong with the signals: a program that asked for an answer gets the safe one.
-        Err(error @ (RecordError::Units { .. } | RecordError::Mismatch(_))) => {
-            return write(arguments, &spec, &cannot_tell(&spec, error.to_string()));
-        }
-        Err(error) => return Err(Failure::data(format!("{name}: {error}"))),
-    };
+    let (log, notes) = read(path, &config, &spec)?;
     let bar = progress_bar(seepd_gap::diagnosis::STEPS as u64, "diagnosing");
     bar.enable_steady_tick(Duration::from_millis(200));
-    let threads = arguments.threads.map_or(0, usize::from);
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
-    let mut diagnosis = pool.install(|| {
-        diagnose(&record, &spec, &Settings::default(), &mut |done| bar.set_position(done as u64))
-    });
+    let settings = Settings { without: arguments.without.clone(), ..Settings::default() };
+    let diagnosed = pool(arguments.threads)?
+        .install(|| answer(&log, &spec, &settings, &mut |done| bar.set_position(done as u64)));
     bar.finish_and_clear();
+    let mut diagnosis = diagnosed.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
     diagnosis.notes.extend(notes);
     diagnosis.seconds = begin.elapsed().as_secs_f64();
     if let Some(path) = &arguments.emit_plant {
-        let mut machine = diagnosis.machine.clone();
-        machine.plant.leak_area_m2 = 0.0;
-        let text = machine.to_toml().map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
-        fs::write(path, text).map_err(|error| Failure::writing(path, error))?;
+        fs::write(path, emitted(&diagnosis)?).map_err(|error| Failure::writing(path, error))?;
     }
-    write(arguments, &spec, &diagnosis)
+    write(arguments, path, &spec, &diagnosis)
 }
 
-fn write(arguments: &GapArguments, spec: &MachineSpec, diagnosis: &Diagnosis) -> Result<Outcome, Failure> {
+/// The pool of threads that a diagnosis runs in.
+///
+/// # Errors
+/// [`Failure`] where the system gives no threads.
+pub(super) fn pool(threads: Option<u16>) -> Result<rayon::ThreadPool, Failure> {
+    rayon::ThreadPoolBuilder::new()
+        .num_threads(threads.map_or(0, usize::from))
+        .build()
+        .map_err(|error| Failure::new(Code::Internal, error.to_string()))
+}
+
+/// Diagnoses a log. Where something is wrong with its signals, the answer is that nothing can be told: a program that asked gets the
+/// safe one.
+///
+/// # Errors
+/// [`RecordError`] for a log that holds too little.
+pub(super) fn answer(
+    log: &Log,
+    spec: &MachineSpec,
+    settings: &Settings,
+    tell: &mut dyn FnMut(usize),
+) -> Result<Diagnosis, RecordError> {
+    match Record::new(log, spec) {
+        Ok(record) => Ok(diagnose(&record, spec, settings, tell)),
+        Err(error @ (RecordError::Units { .. } | RecordError::Mismatch(_))) => {
+            Ok(cannot_tell(spec, error.to_string()))
+        }
+        Err(error) => Err(error),
+    }
+}
+
+/// The plant file of the machine as diagnosed, with no leak.
+///
+/// # Errors
+/// [`Failure`] where it cannot be written as TOML.
+pub(super) fn emitted(diagnosis: &Diagnosis) -> Result<String, Failure> {
+    let mut machine = diagnosis.machine.clone();
+    machine.plant.leak_area_m2 = 0.0;
+    machine.to_toml().map_err(|error| Failure::new(Code::Internal, error.to_string()))
+}
+
+fn write(
+    arguments: &GapArguments,
+    log: &Path,
+    spec: &MachineSpec,
+    diagnosis: &Diagnosis,
+) -> Result<Outcome, Failure> {
     if let Some(path) = &arguments.html {
-        let log = arguments.log.display().to_string();
+        let log = log.display().to_string();
         let page = GapPage { log: &log, headline: &headline(diagnosis), diagnosis, spec };
         fs::write(path, page.render()).map_err(|error| Failure::writing(path, error))?;
     }
@@ -128,8 +185,12 @@ fn write(arguments: &GapArguments, spec: &MachineSpec, diagnosis: &Diagnosis) ->
     Ok(Outcome::Good)
 }
 
-/// Reads a log's signals, one value a controller tick.
-fn read(path: &Path, config: &Config, spec: &MachineSpec, notes: &mut Vec<String>) -> Result<Log, Failure> {
+/// Reads a log's signals, one value a controller tick, and what there is to know of it.
+///
+/// # Errors
+/// [`Failure`] where it cannot be read.
+pub(super) fn read(path: &Path, config: &Config, spec: &MachineSpec) -> Result<(Log, Vec<String>), Failure> {
+    let mut notes = Vec::new();
     let mut source = source::open(path, config)?;
     let period_ns = spec.controller.period_s * 1e9;
     let most = (MOST_CYCLES * spec.cycle.period_s / spec.controller.period_s) as usize;
@@ -161,7 +222,7 @@ fn read(path: &Path, config: &Config, spec: &MachineSpec, notes: &mut Vec<String
     for values in log.values.iter_mut().filter(|values| !values.is_empty()) {
         values.resize(length, f64::NAN);
     }
-    Ok(log)
+    Ok((log, notes))
 }
 
 /// The terminal's report.

@@ -4,6 +4,8 @@ pub mod check;
 #[cfg(feature = "simulate")]
 pub mod demo;
 #[cfg(feature = "gap")]
+pub mod blind;
+#[cfg(feature = "gap")]
 pub mod gap;
 pub mod inspect;
 pub mod replay;

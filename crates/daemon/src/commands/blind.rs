@@ -1,0 +1,419 @@
+//! `seepd gap blind`: the diagnosis checked on logs whose cause is withheld from it.
+//!
+//! Three steps that share nothing but files: `plant` writes logs and, elsewhere, the truth; `diagnose` reads logs only; `score` compares.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use clap::{Args, Subcommand};
+use seepd_blind::cause::{Case, Truth};
+use seepd_blind::press::Variation;
+use seepd_blind::score::{Answer, Answered, Scores, score};
+use seepd_gap::{Log, Record, Settings, nominal_gap};
+use seepd_signals::Signal;
+use seepd_sim::MachineSpec;
+use seepd_sim::noise::Noise;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use super::gap::{answer, emitted, pool, read};
+use crate::cli::Outcome;
+use crate::config::Config;
+use crate::failure::{Code, Failure};
+use crate::progress::progress_bar;
+use crate::sink::mcap::{ChunkCompression, McapSink, schema};
+use crate::sink::terminal::print;
+
+/// Checks the diagnosis on logs whose cause is withheld from it: plants causes with a second simulator, diagnoses the logs, scores the
+/// answers.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  seepd gap blind plant --logs logs --truth truth --seed 7\n  \
+                        seepd gap blind diagnose --logs logs --answers answers\n  \
+                        seepd gap blind score --truth truth --answers answers --logs logs")]
+pub struct BlindArguments {
+    #[command(subcommand)]
+    step: Step,
+}
+
+#[derive(Debug, Subcommand)]
+enum Step {
+    /// Write logs with planted causes, and the truth elsewhere
+    #[command(after_help = "Example: seepd gap blind plant --logs logs --truth truth --seed 7")]
+    Plant(PlantArguments),
+    /// Diagnose logs, with and without pressures
+    #[command(after_help = "Example: seepd gap blind diagnose --logs logs --answers answers")]
+    Diagnose(DiagnoseArguments),
+    /// Score answers against the truth
+    #[command(after_help = "Example: seepd gap blind score --truth truth --answers answers --logs logs")]
+    Score(ScoreArguments),
+}
+
+#[derive(Debug, Args)]
+struct PlantArguments {
+    /// Directory for the logs; must not exist
+    #[arg(long, value_name = "DIR")]
+    logs: PathBuf,
+    /// Directory for the truth; must not exist
+    #[arg(long, value_name = "DIR")]
+    truth: PathBuf,
+    /// Seed of everything that is drawn
+    #[arg(long, value_name = "S")]
+    seed: u64,
+    /// Cases of each set: exact, other parameters, pairs, effects that the catalogue lacks, causes without a name
+    #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    each: u16,
+    /// Sizes at which each effect is planted alone
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=3))]
+    sizes: u16,
+    /// Duty cycles of a log
+    #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u16).range(3..=1000))]
+    cycles: u16,
+}
+
+#[derive(Debug, Args)]
+struct DiagnoseArguments {
+    /// Directory with the logs
+    #[arg(long, value_name = "DIR")]
+    logs: PathBuf,
+    /// Directory for the answers; those that are there are kept
+    #[arg(long, value_name = "DIR")]
+    answers: PathBuf,
+    /// Diagnose with these signals only
+    #[arg(long, value_enum)]
+    view: Option<View>,
+    /// Threads [default: one a core]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+}
+
+#[derive(Debug, Args)]
+struct ScoreArguments {
+    /// Directory with the truth
+    #[arg(long, value_name = "DIR")]
+    truth: PathBuf,
+    /// Directory with the answers
+    #[arg(long, value_name = "DIR")]
+    answers: PathBuf,
+    /// Directory with the logs: claimed gaps are measured again with the emitted plants
+    #[arg(long, value_name = "DIR")]
+    logs: Option<PathBuf>,
+    /// Write the scores as JSON; `-`: to standard output, instead of the table
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// List what was answered wrong
+    #[arg(long)]
+    wrong: bool,
+}
+
+/// Which signals a diagnosis sees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum View {
+    /// All that are in the log.
+    Pressures,
+    /// Command and position.
+    Command,
+}
+
+impl View {
+    const ALL: [View; 2] = [View::Pressures, View::Command];
+
+    fn name(self) -> &'static str {
+        match self {
+            View::Pressures => "pressures",
+            View::Command => "command",
+        }
+    }
+
+    fn of(self, log: &Log) -> Log {
+        let mut seen = log.clone();
+        if self == View::Command {
+            for signal in Signal::ALL {
+                if !matches!(signal, Signal::Command | Signal::Position) {
+                    seen.values[signal as usize].clear();
+                }
+            }
+        }
+        seen
+    }
+}
+
+/// What the diagnoser is told beside the logs.
+#[derive(Debug, Serialize, Deserialize)]
+struct Task {
+    /// Effect that its catalogue lacks, by log; each log has one.
+    without: BTreeMap<String, String>,
+}
+
+/// What is recorded before anything is diagnosed.
+#[derive(Debug, Serialize)]
+struct Hashes {
+    version: &'static str,
+    tool_sha256: String,
+    logs_sha256: BTreeMap<String, String>,
+}
+
+const TASK: &str = "task.json";
+const TRUTH: &str = "truth.json";
+const HASHES: &str = "hashes.json";
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure`] for directories and files.
+pub fn run(arguments: &BlindArguments) -> Result<Outcome, Failure> {
+    match &arguments.step {
+        Step::Plant(arguments) => plant(arguments),
+        Step::Diagnose(arguments) => diagnose(arguments),
+        Step::Score(arguments) => tell_scores(arguments),
+    }
+}
+
+fn plant(arguments: &PlantArguments) -> Result<Outcome, Failure> {
+    for directory in [&arguments.logs, &arguments.truth] {
+        fs::create_dir_all(directory).map_err(|error| Failure::writing(directory, error))?;
+        let mut inside = fs::read_dir(directory).map_err(|error| Failure::reading(directory, &error))?;
+        if inside.next().is_some() {
+            let what = format!("{}: not empty; name a new directory", directory.display());
+            return Err(Failure::new(Code::Usage, what));
+        }
+    }
+    let cases = seepd_blind::draw(arguments.seed, arguments.each.into(), arguments.sizes.into());
+    let bar = progress_bar(cases.len() as u64, "planting");
+    for case in &cases {
+        write_case(&arguments.logs.join(format!("{}.mcap", case.name)), case, arguments.cycles.into())?;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let task = Task { without: cases.iter().map(|c| (c.name.clone(), c.without.clone())).collect() };
+    write_json(&arguments.logs.join(TASK), &task)?;
+    let truths: BTreeMap<&str, &Truth> = cases.iter().map(|c| (c.name.as_str(), &c.truth)).collect();
+    write_json(&arguments.truth.join(TRUTH), &truths)?;
+    print(format!("{} logs\n", cases.len()).as_bytes())?;
+    Ok(Outcome::Good)
+}
+
+/// A message of the planted logs.
+#[derive(Serialize)]
+struct Message {
+    command: f64,
+    demand: f64,
+    position: f64,
+    p_supply: f64,
+    p_inlet: f64,
+    p_cap: f64,
+    p_rod: f64,
+    load: f64,
+}
+
+/// Standard deviations of the sensors' noise: command as a share, position in m, pressures in Pa (0.1 % of 200 bar), load in N.
+const NOISE: (f64, f64, f64, f64) = (1e-3, 1e-5, 2e4, 20.0);
+
+fn write_case(path: &Path, case: &Case, cycles: usize) -> Result<(), Failure> {
+    let writing = |error| Failure::writing(path, error);
+    let file = File::create(path).map_err(|error| Failure::writing(path, error))?;
+    let mut sink = McapSink::new(BufWriter::new(file), ChunkCompression::Lz4).map_err(writing)?;
+    let channel = sink.add_channel("/axis/signals", "seepd.Signals", schema::SIGNALS).map_err(writing)?;
+    let mut noise = Noise::new(case.truth.seed, 11);
+    let press = case.truth.press();
+    let variation = Variation { load: case.truth.load_variation, seed: case.truth.seed };
+    let (mut tick, mut line, mut result) = (0i64, Vec::with_capacity(256), Ok(()));
+    let rounded = |value: f64| (value * 1e7).round() / 1e7;
+    let finite = press.run(cycles, variation, |sample| {
+        let mut pressure = |index: usize| (sample.pressures_pa[index] + noise.normal(NOISE.2)).round();
+        let (p_supply, p_inlet, p_cap, p_rod) = (pressure(0), pressure(1), pressure(2), pressure(3));
+        let message = Message {
+            command: rounded(sample.command + noise.normal(NOISE.0)),
+            demand: rounded(sample.demand_m),
+            position: rounded(sample.position_m + noise.normal(NOISE.1)),
+            p_supply,
+            p_inlet,
+            p_cap,
+            p_rod,
+            load: (sample.load_n + noise.normal(NOISE.3)).round(),
+        };
+        line.clear();
+        let written = serde_json::to_writer(&mut line, &message)
+            .map_err(|error| mcap::McapError::Io(error.into()))
+            .and_then(|()| sink.write(channel, tick * 1_000_000, &line));
+        if let Err(error) = written {
+            result = Err(error);
+        }
+        tick += 1;
+    });
+    result.map_err(writing)?;
+    if !finite {
+        return Err(Failure::new(Code::Internal, format!("{}: the planted machine went out of bounds", case.name)));
+    }
+    sink.finish().map_err(writing)
+}
+
+#[expect(
+    clippy::disallowed_methods,
+    reason = "how long a diagnosis took is part of it; nothing else depends on it"
+)]
+fn diagnose(arguments: &DiagnoseArguments) -> Result<Outcome, Failure> {
+    let task: Task = read_json(&arguments.logs.join(TASK))?;
+    fs::create_dir_all(&arguments.answers).map_err(|error| Failure::writing(&arguments.answers, error))?;
+    let log_of = |name: &str| arguments.logs.join(format!("{name}.mcap"));
+    let mut logs_sha256 = BTreeMap::new();
+    for name in task.without.keys() {
+        logs_sha256.insert(name.clone(), hash(&log_of(name))?);
+    }
+    let tool = std::env::current_exe().map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
+    let hashes = Hashes { version: env!("CARGO_PKG_VERSION"), tool_sha256: hash(&tool)?, logs_sha256 };
+    write_json(&arguments.answers.join(HASHES), &hashes)?;
+    let views = arguments.view.map_or(View::ALL.to_vec(), |view| vec![view]);
+    let spec = MachineSpec::default();
+    let pool = pool(arguments.threads)?;
+    let bar = progress_bar((task.without.len() * views.len()) as u64, "diagnosing");
+    for (name, without) in &task.without {
+        let mut log = None;
+        for view in &views {
+            let path = arguments.answers.join(format!("{name}.{}.json", view.name()));
+            bar.inc(1);
+            if path.exists() {
+                continue;
+            }
+            if log.is_none() {
+                log = Some(read(&log_of(name), &Config::default(), &spec)?.0);
+            }
+            let Some(log) = &log else { continue };
+            let begin = std::time::Instant::now();
+            let settings = Settings { without: vec![without.clone()], ..Settings::default() };
+            let mut diagnosis = pool
+                .install(|| answer(&view.of(log), &spec, &settings, &mut |_| ()))
+                .map_err(|error| Failure::data(format!("{name}: {error}")))?;
+            diagnosis.seconds = begin.elapsed().as_secs_f64();
+            let plant = arguments.answers.join(format!("{name}.{}.toml", view.name()));
+            fs::write(&plant, emitted(&diagnosis)?).map_err(|error| Failure::writing(&plant, error))?;
+            write_json(&path, &diagnosis)?;
+        }
+    }
+    bar.finish_and_clear();
+    Ok(Outcome::Good)
+}
+
+fn tell_scores(arguments: &ScoreArguments) -> Result<Outcome, Failure> {
+    let truths: BTreeMap<String, Truth> = read_json(&arguments.truth.join(TRUTH))?;
+    let mut scores = BTreeMap::new();
+    for view in View::ALL {
+        let mut answers = Vec::new();
+        for (case, truth) in &truths {
+            let path = arguments.answers.join(format!("{case}.{}.json", view.name()));
+            if !path.exists() {
+                continue;
+            }
+            let answer: Answer = read_json(&path)?;
+            let plant = arguments.answers.join(format!("{case}.{}.toml", view.name()));
+            let measured =
+                arguments.logs.as_ref().map(|logs| measured(logs, case, view, &plant)).transpose()?.flatten();
+            answers.push(Answered { case: case.clone(), truth: truth.clone(), answer, measured });
+        }
+        if !answers.is_empty() {
+            scores.insert(view.name(), score(&answers));
+        }
+    }
+    if scores.is_empty() {
+        return Err(Failure::data(format!("{}: no answers", arguments.answers.display())));
+    }
+    if let Some(path) = &arguments.json {
+        if path == Path::new("-") {
+            print((json(&scores)? + "\n").as_bytes())?;
+            return Ok(Outcome::Good);
+        }
+        write_json(path, &scores)?;
+    }
+    print(table(&scores, arguments.wrong).as_bytes())?;
+    Ok(Outcome::Good)
+}
+
+/// The gap of an emitted plant, measured on the log itself.
+fn measured(logs: &Path, case: &str, view: View, plant: &Path) -> Result<Option<BTreeMap<String, f64>>, Failure> {
+    let text = fs::read_to_string(plant).map_err(|error| Failure::reading(plant, &error))?;
+    let spec = MachineSpec::from_toml(&text).map_err(|error| Failure::configuration(plant, error))?;
+    let (log, _) = read(&logs.join(format!("{case}.mcap")), &Config::default(), &spec)?;
+    let Ok(record) = Record::new(&view.of(&log), &spec) else { return Ok(None) };
+    let gap = nominal_gap(&record, &spec);
+    Ok(Some(gap.into_iter().map(|(signal, gap)| (signal.to_owned(), gap)).collect()))
+}
+
+fn table(scores: &BTreeMap<&str, Scores>, wrong: bool) -> String {
+    type Cell = fn(&Scores) -> String;
+    let rows: [(&str, Cell); 17] = [
+        ("cases", |s| s.cases.to_string()),
+        ("single effects visible after retuning", |s| format!("{} of {}", s.visible[0], s.visible[1])),
+        ("top-1, visible, within classes", |s| format!("{:.2}", s.top_1)),
+        ("top-1, visible, exact", |s| format!("{:.2}", s.top_1_exact)),
+        ("top-2, visible, within classes", |s| format!("{:.2}", s.top_2)),
+        ("named by the verdict, visible", |s| format!("{:.2}", s.named)),
+        ("invisible ones not called", |s| format!("{:.2}", s.invisible_not_called)),
+        ("pairs: both chosen, one of them", |s| format!("{:.2}, {:.2}", s.pairs[0], s.pairs[1])),
+        ("false alarms on exact machines", |s| format!("{:.2}", s.false_alarms[0])),
+        ("false alarms on other parameters", |s| format!("{:.2}", s.false_alarms[1])),
+        ("AUROC unknown against known", |s| format!("{:.2}", s.auroc_unknown)),
+        ("calibration error, if calibrated, excess", |s| {
+            let [measured, perfect, excess] = s.calibration_error;
+            format!("{measured:.3}, {perfect:.3}, {excess:.3}")
+        }),
+        ("removable gap removed", |s| format!("{:.2}", s.shrink)),
+        ("claimed gap against emitted plant's", |s| format!("{:.1e}", s.claimed_gap_error)),
+        ("leak error, L/min: nominal, retuned, chosen", |s| {
+            let [nominal, retuned, chosen] = s.leak_error_lpm;
+            format!("{nominal:.3}, {retuned:.3}, {chosen:.3}")
+        }),
+        ("leak error retuned over chosen", |s| format!("{:.1}", s.leak_error_lpm[1] / s.leak_error_lpm[2])),
+        ("seconds: median, largest", |s| format!("{:.1}, {:.1}", s.seconds[0], s.seconds[1])),
+    ];
+    let mut text = String::from("| score |");
+    scores.keys().for_each(|view| text += &format!(" {view} |"));
+    text += "\n|---|";
+    scores.keys().for_each(|_| text += "---|");
+    text += "\n";
+    for (name, cell) in rows {
+        text += &format!("| {name} |");
+        scores.values().for_each(|scores| text += &format!(" {} |", cell(scores)));
+        text += "\n";
+    }
+    text += "\n| effect: visible, ranked first, named |";
+    scores.keys().for_each(|view| text += &format!(" {view} |"));
+    text += "\n|---|";
+    scores.keys().for_each(|_| text += "---|");
+    text += "\n";
+    for effect in seepd_sim::effects::ALL {
+        text += &format!("| {} |", effect.key());
+        for scores in scores.values() {
+            let [visible, first, named] = scores.by_effect.get(effect.key()).copied().unwrap_or_default();
+            text += &format!(" {visible}, {first}, {named} |");
+        }
+        text += "\n";
+    }
+    if wrong {
+        for (view, scores) in scores {
+            text += &format!("\n{view}:\n");
+            scores.wrong.iter().for_each(|line| text += &format!("  {line}\n"));
+        }
+    }
+    text
+}
+
+fn hash(path: &Path) -> Result<String, Failure> {
+    let mut file = File::open(path).map_err(|error| Failure::reading(path, &error))?;
+    let mut hasher = Sha256::new();
+    std::io::copy(&mut file, &mut hasher).map_err(|error| Failure::reading(path, &error))?;
+    Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+fn json(value: &impl Serialize) -> Result<String, Failure> {
+    serde_json::to_string_pretty(value).map_err(|error| Failure::new(Code::Internal, error.to_string()))
+}
+
+fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
+    fs::write(path, json(value)? + "\n").map_err(|error| Failure::writing(path, error))
+}
+
+fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Failure> {
+    let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+    serde_json::from_str(&text).map_err(|error| Failure::data(format!("{}: {error}", path.display())))
+}
