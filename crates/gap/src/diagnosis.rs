@@ -2,20 +2,20 @@
 
 use std::collections::BTreeMap;
 
-use rayon::prelude::*;
-use seepd_sim::cycle::Instant;
-use seepd_sim::effects::Effect;
-use seepd_sim::{MachineSpec, PlantParameters};
+use seepd_sim::effects::About;
 
-use crate::fit::{Fit, Problem, Target, leak_only, of_effect, retunable};
+use crate::axis::Axis;
+use crate::fit::{Fit, Problem, Target, retunable, wear_only};
 use crate::places::{phase_spans, places};
 use crate::rank::{Ranking, rank};
 use crate::record::{BINS, ENOUGH_CYCLES, Record};
 use crate::report::{
     Curves, CycleCounts, Diagnosis, EffectFinding, Gaps, Leaks, Place, Retuned, Shrink, Verdict,
 };
-use crate::screen::{Beyond, Candidate, screen, with};
-use crate::simulate::{View, views};
+use crate::screen::{Beyond, Candidate, screen};
+use crate::search::{Explanation, Found, search};
+use crate::shrink::{HeldOut, attributed};
+use crate::simulate::views;
 
 /// What a diagnosis is asked for.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,7 +35,7 @@ impl Default for Settings {
 }
 
 /// Steps of a diagnosis, for a progress bar.
-pub const STEPS: usize = 5;
+pub const STEPS: usize = 4;
 /// Mean square over expected error up to which a signal has no gap.
 const NO_GAP: f64 = 4.0;
 /// Probability from which an effect is chosen.
@@ -44,130 +44,42 @@ const CHOSEN: f64 = 0.5;
 const EQUIVALENT: f64 = 0.97;
 /// Signature, in expected errors, below which an effect cannot be seen.
 const VISIBLE: f64 = 2.0;
-/// Signals whose nominal gap exceeds this many floors count in the shrink.
-const FLOORS: f64 = 1.5;
 
-/// Diagnoses a record against a machine; `tell` hears of each finished step.
-pub fn diagnose(
+/// Diagnoses a record against a machine; `tell` hears of each finished step. With the diagnosis comes the machine as it is.
+pub fn diagnose<A: Axis>(
     record: &Record,
-    spec: &MachineSpec,
+    spec: &A,
     settings: &Settings,
     tell: &mut dyn FnMut(usize),
-) -> Diagnosis {
+) -> (Diagnosis, A) {
     let (fitted, held_out) = split(record);
     let problem = Problem::new(record, &fitted);
-    let nominal = Fit::at(&problem, spec, leak_only()).fitted(&problem, settings.iterations);
+    let nominal = Fit::at(&problem, spec, wear_only(spec)).fitted(&problem, settings.iterations);
     tell(1);
     let untouched = Fit::at(&problem, &nominal.spec, retunable(spec));
     let (retuned, far) = rayon::join(
         || untouched.clone().from_afar(&problem, 2 * settings.iterations).renewed(&problem),
         || screen(&problem, &untouched, &settings.without),
     );
-    let mut retuned = retuned;
     tell(2);
-    let mut candidates = screen(&problem, &retuned, &settings.without);
+    let found = search(&problem, &untouched, retuned, &far, settings);
     tell(3);
-    let mut fits = fit_effects(&problem, &untouched, &retuned, &candidates, &far, settings);
-    // An effect's fit that owes its success to the parameters beside it shows where retuning should have gone.
-    let better = repolished(&problem, &retuned, &fits, settings);
-    if better.cost < WORTH_ANOTHER_ROUND * retuned.cost {
-        retuned = better;
-        candidates = screen(&problem, &retuned, &settings.without);
-        fits = fit_effects(&problem, &untouched, &retuned, &candidates, &far, settings);
-    }
-    tell(4);
-    let weighed: Vec<(&Fit, usize)> =
-        fits.iter().map(|(effect, fit)| (fit, effect.parameters().len())).collect();
-    let ranking = rank(&problem, &retuned, &weighed);
-    let order = sorted(&ranking);
-    fits = order.iter().map(|index| fits[*index].clone()).collect();
-    let probabilities: Vec<f64> = order.iter().map(|index| ranking.effects[*index]).collect();
-    let beyond = Beyond::new(&retuned);
-    let alike =
-        fits.first().map_or(Vec::new(), |(effect, fit)| equivalents(&beyond, &retuned, *effect, fit, &fits));
-    let (verdict, reason) = verdict(&problem, record, &nominal, &ranking, &probabilities, &fits, &alike);
-    let chosen = if verdict == Verdict::Effect {
-        &fits[0].1
-    } else if verdict == Verdict::NoGap {
-        &nominal
-    } else {
-        &retuned
-    };
-    let measured = Measured { record, cycles: &held_out };
-    let mut machines = vec![nominal.spec.clone(), retuned.spec.clone(), chosen.spec.clone()];
-    machines.extend(fits.iter().map(|(_, fit)| fit.spec.clone()));
-    let gaps = measured.gaps(&machines);
-    let (of_nominal, of_retuned, of_chosen, of_effects) = (&gaps[0], &gaps[1], &gaps[2], &gaps[3..]);
-    let shrink = |now: &[f64], to_floor: bool| measured.shrink(of_nominal, now, to_floor);
-    let effects = fits
-        .iter()
-        .zip(&probabilities)
-        .zip(of_effects)
-        .map(|(((effect, fit), probability), gaps)| {
-            type Estimate = (f64, [f64; 2]);
-            let own: Vec<(&'static str, Estimate)> = fit
-                .free
-                .iter()
-                .zip(fit.estimates())
-                .filter_map(|(free, estimate)| match free.target {
-                    Target::Effect(of, index) => Some((of.parameters()[index].name, estimate)),
-                    _ => None,
-                })
-                .collect();
-            EffectFinding {
-                effect: effect.key(),
-                probability: *probability,
-                parameters: own.iter().map(|(name, estimate)| (*name, estimate.0)).collect(),
-                interval95: own.iter().map(|(name, estimate)| (*name, estimate.1)).collect(),
-                shrink: shrink(gaps, true),
-                equivalent: equivalents(&beyond, &retuned, *effect, fit, &fits),
-            }
-        })
-        .collect::<Vec<_>>();
-    let distinguish = distinguish(record, &effects, &candidates, verdict);
-    let told = |values: &[f64]| -> BTreeMap<&'static str, f64> {
-        record.signals.iter().map(|signal| signal.name()).zip(values.iter().copied()).collect()
-    };
-    let diagnosis = Diagnosis {
-        schema: "seepd.gap/1",
-        cycles: CycleCounts { used: record.cycles.len(), fit: fitted.len(), held_out: held_out.len() },
-        signals: record.signals.iter().map(|signal| signal.name()).collect(),
-        floor: told(&record.floor),
-        gap: Gaps { nominal: told(of_nominal), retuned: told(of_retuned), chosen: told(of_chosen) },
-        places: where_is(record, &retuned, &fitted),
-        verdict,
-        reason,
-        seconds: 0.0,
-        unknown_probability: ranking.unknown,
-        no_effect_probability: ranking.none,
-        chosen: if verdict == Verdict::Effect { vec![fits[0].0.key()] } else { Vec::new() },
-        shrink: Shrink {
-            of_removable: shrink(of_chosen, true),
-            of_total: shrink(of_chosen, false),
-            retune_only: shrink(of_retuned, true),
-        },
-        retuned: retuned_parameters(spec, &retuned),
-        leak: Leaks {
-            nominal_m2: nominal.spec.plant.leak_area_m2,
-            retuned_m2: retuned.spec.plant.leak_area_m2,
-            chosen_m2: chosen.spec.plant.leak_area_m2,
-        },
-        effects,
-        distinguish,
-        notes: record.notes.clone(),
-        machine: chosen.spec.clone(),
-        curves: curves(record, spec, &held_out, &machines[..3]),
-    };
+    let weighed = Weighed::new(&problem, found);
+    let (verdict, reason) = verdict(&problem, record, &nominal, &weighed);
+    let held_out = HeldOut { record, cycles: &held_out };
+    let told = Telling { record, spec, problem: &problem, nominal: &nominal, weighed: &weighed, held_out: &held_out };
+    let diagnosis = told.diagnosis(settings, verdict, reason, fitted.len());
     tell(STEPS);
-    diagnosis
+    let machine = told.chosen(verdict).spec.clone();
+    (diagnosis, machine)
 }
 
-/// Gap of a machine whose leak alone is fitted, by signal, on the cycles that a diagnosis holds out.
-pub fn nominal_gap(record: &Record, spec: &MachineSpec) -> BTreeMap<&'static str, f64> {
+/// Gap of a machine in which wear alone is fitted, by signal, on the cycles that a diagnosis holds out.
+pub fn nominal_gap<A: Axis>(record: &Record, spec: &A) -> BTreeMap<&'static str, f64> {
     let (fitted, held_out) = split(record);
     let problem = Problem::new(record, &fitted);
-    let nominal = Fit::at(&problem, spec, leak_only()).fitted(&problem, Settings::default().iterations);
-    let gaps = Measured { record, cycles: &held_out }.gaps(&[nominal.spec]).swap_remove(0);
+    let nominal = Fit::at(&problem, spec, wear_only(spec)).fitted(&problem, Settings::default().iterations);
+    let gaps = HeldOut { record, cycles: &held_out }.gaps(&[nominal.spec]).swap_remove(0);
     record.signals.iter().map(|signal| signal.name()).zip(gaps).collect()
 }
 
@@ -177,7 +89,7 @@ fn split(record: &Record) -> (Vec<usize>, Vec<usize>) {
 }
 
 /// The answer to a log that says nothing, with the reason.
-pub fn cannot_tell(spec: &MachineSpec, reason: String) -> Diagnosis {
+pub fn cannot_tell(reason: String) -> Diagnosis {
     Diagnosis {
         schema: "seepd.gap/1",
         cycles: CycleCounts { used: 0, fit: 0, held_out: 0 },
@@ -192,242 +104,279 @@ pub fn cannot_tell(spec: &MachineSpec, reason: String) -> Diagnosis {
         unknown_probability: 0.0,
         no_effect_probability: 1.0,
         chosen: Vec::new(),
-        shrink: Shrink { of_removable: 0.0, of_total: 0.0, retune_only: 0.0 },
+        shrink: Shrink { of_removable: 0.0, of_total: 0.0, retune_only: 0.0, by_effect: BTreeMap::new() },
         retuned: BTreeMap::new(),
         leak: Leaks { nominal_m2: f64::NAN, retuned_m2: f64::NAN, chosen_m2: f64::NAN },
         distinguish: Vec::new(),
         notes: Vec::new(),
-        machine: spec.clone(),
         curves: Curves::default(),
     }
 }
 
-/// What the held-out cycles show beside the three machines: nominal, retuned, chosen.
-fn curves(record: &Record, spec: &MachineSpec, cycles: &[usize], machines: &[MachineSpec]) -> Curves {
-    let drive = &record.cycles[cycles[0]].drive;
-    let mut shown = views(machines, drive, &record.signals).into_iter();
-    let mut next = || shown.next().unwrap_or_default();
-    let width_s = spec.cycle.period_s / BINS as f64;
-    Curves {
-        t_s: (0..BINS).map(|bin| (bin as f64 + 0.5) * width_s).collect(),
-        recorded: record.mean(cycles),
-        nominal: next(),
-        retuned: next(),
-        chosen: next(),
-        phases: phase_spans(spec),
+/// What a search found, weighed.
+struct Weighed<A> {
+    retuned: Fit<A>,
+    candidates: Vec<Candidate>,
+    /// Most likely first.
+    explanations: Vec<(Explanation<A>, f64)>,
+    unknown: f64,
+    none: f64,
+    beyond: Beyond,
+}
+
+impl<A: Axis> Weighed<A> {
+    fn new(problem: &Problem<'_>, found: Found<A>) -> Self {
+        let Ranking { none, unknown, explanations: probabilities } =
+            rank(problem, &found.retuned, &found.explanations);
+        let mut explanations: Vec<(Explanation<A>, f64)> =
+            found.explanations.into_iter().zip(probabilities).collect();
+        explanations.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let beyond = Beyond::new(&found.retuned);
+        Weighed { retuned: found.retuned, candidates: found.candidates, explanations, unknown, none, beyond }
+    }
+
+    /// Each effect's probability, most likely first: a machine with several shares its own among them.
+    fn effects(&self) -> Vec<(&'static About, f64)> {
+        let mut effects: Vec<(&'static About, f64)> = Vec::new();
+        for (explanation, probability) in &self.explanations {
+            let share = probability / explanation.effects.len() as f64;
+            for effect in &explanation.effects {
+                match effects.iter_mut().find(|(other, _)| other.key == effect.key) {
+                    Some((_, sum)) => *sum += share,
+                    None => effects.push((effect, share)),
+                }
+            }
+        }
+        effects.sort_by(|a, b| b.1.total_cmp(&a.1));
+        effects
+    }
+
+    /// The most likely machine with that effect.
+    fn best_with(&self, key: &str) -> Option<&Explanation<A>> {
+        self.explanations.iter().map(|(explanation, _)| explanation).find(|explanation| explanation.has(key))
+    }
+
+    /// Effects that, put in the place of one in a machine, have the same signature up to its size.
+    fn equivalents(&self, key: &str) -> Vec<&'static str> {
+        let alone = |explanation: &&(Explanation<A>, f64)| explanation.0.effects.len() == 1;
+        let signature =
+            |explanation: &Explanation<A>| self.beyond.project(&(&explanation.fit.residual - &self.retuned.residual));
+        let Some(own) = self.explanations.iter().filter(alone).find(|(explanation, _)| explanation.has(key)) else {
+            return Vec::new();
+        };
+        let own = signature(&own.0);
+        self.explanations
+            .iter()
+            .filter(alone)
+            .filter(|(other, _)| !other.has(key))
+            .filter(|(other, _)| {
+                let other = signature(other);
+                own.dot(&other) > EQUIVALENT * own.norm() * other.norm()
+            })
+            .map(|(other, _)| other.effects[0].key)
+            .collect()
+    }
+
+    /// Probability of the most likely machine and of those with its like.
+    fn class(&self) -> f64 {
+        let Some((best, _)) = self.explanations.first() else { return 0.0 };
+        let alike: Vec<&str> = best.effects.iter().flat_map(|effect| self.equivalents(effect.key)).collect();
+        let same = |other: &Explanation<A>| {
+            other.effects.iter().all(|effect| best.has(effect.key) || alike.contains(&effect.key))
+        };
+        self.explanations.iter().filter(|(other, _)| same(other)).map(|(_, probability)| probability).sum()
     }
 }
 
-/// Share of the cost below which retuning anew is worth another round of fits.
-const WORTH_ANOTHER_ROUND: f64 = 0.9;
-
-/// Retuning from where the best effect's fit has put the plant's parameters, without the effect.
-fn repolished(
-    problem: &Problem<'_>,
-    retuned: &Fit,
-    fits: &[(&'static dyn Effect, Fit)],
-    settings: &Settings,
-) -> Fit {
-    let best = fits.iter().min_by(|a, b| a.1.cost.total_cmp(&b.1.cost));
-    let Some((effect, fit)) = best else { return retuned.clone() };
-    let mut start = fit.spec.clone();
-    start.effects.remove(effect.key());
-    Fit::at(problem, &start, retuned.free.clone()).fitted(problem, 2 * settings.iterations).renewed(problem)
-}
-
-/// Fits the most promising effects: those that explain most beside the retuned machine, and those that do beside the nominal one, since
-/// retuning may have bent other parameters to the gap. The best of all are fitted from both.
-fn fit_effects(
-    problem: &Problem<'_>,
-    untouched: &Fit,
-    retuned: &Fit,
-    near: &[Candidate],
-    far: &[Candidate],
-    settings: &Settings,
-) -> Vec<(&'static dyn Effect, Fit)> {
-    let fit = |(candidate, from_nominal): &(&Candidate, bool)| {
-        let start = if *from_nominal { untouched } else { retuned };
-        let machine = with(&start.spec, candidate.effect, &candidate.values);
-        let fit = start.extended(problem, &machine, of_effect(candidate.effect, &machine));
-        if *from_nominal {
-            fit.from_afar(problem, settings.iterations)
-        } else {
-            fit.fitted(problem, settings.iterations)
-        }
-    };
-    let mut starts: Vec<(&Candidate, bool)> = near.iter().take(settings.fitted).map(|c| (c, false)).collect();
-    starts.extend(far.iter().take(settings.fitted).map(|c| (c, true)));
-    let mut fits: Vec<(&'static dyn Effect, Fit)> = Vec::new();
-    keep_better(&mut fits, starts.iter().zip(starts.par_iter().map(fit).collect::<Vec<_>>()));
-    fits.sort_by(|a, b| a.1.cost.total_cmp(&b.1.cost));
-    let best: Vec<&str> = fits.iter().take(TWICE).map(|(effect, _)| effect.key()).collect();
-    let untried = |(candidate, from_nominal): &(&Candidate, bool)| {
-        let key = candidate.effect.key();
-        best.contains(&key) && !starts.iter().any(|(c, n)| c.effect.key() == key && n == from_nominal)
-    };
-    let others = near.iter().map(|c| (c, false)).chain(far.iter().map(|c| (c, true)));
-    let more: Vec<(&Candidate, bool)> = others.filter(untried).collect();
-    keep_better(&mut fits, more.iter().zip(more.par_iter().map(fit).collect::<Vec<_>>()));
-    fits
-}
-
-/// Effects that are fitted from both machines.
-const TWICE: usize = 3;
-
-fn keep_better<'c>(
-    fits: &mut Vec<(&'static dyn Effect, Fit)>,
-    results: impl Iterator<Item = (&'c (&'c Candidate, bool), Fit)>,
-) {
-    for ((candidate, _), fit) in results {
-        match fits.iter_mut().find(|(effect, _)| effect.key() == candidate.effect.key()) {
-            Some((_, other)) if fit.cost < other.cost => *other = fit,
-            Some(_) => {}
-            None => fits.push((candidate.effect, fit)),
-        }
-    }
-}
-
-fn sorted(ranking: &Ranking) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..ranking.effects.len()).collect();
-    order.sort_by(|a, b| ranking.effects[*b].total_cmp(&ranking.effects[*a]));
-    order
-}
-
-fn verdict(
+fn verdict<A: Axis>(
     problem: &Problem<'_>,
     record: &Record,
-    nominal: &Fit,
-    ranking: &Ranking,
-    probabilities: &[f64],
-    fits: &[(&'static dyn Effect, Fit)],
-    alike: &[&'static str],
+    nominal: &Fit<A>,
+    weighed: &Weighed<A>,
 ) -> (Verdict, Option<String>) {
-    let largest = |fit: &Fit| problem.by_signal(&fit.residual).into_iter().fold(0.0, f64::max);
+    let largest = |fit: &Fit<A>| problem.by_signal(&fit.residual).into_iter().fold(0.0, f64::max);
     let few = (record.cycles.len() < ENOUGH_CYCLES)
         .then(|| format!("only {} cycles; {ENOUGH_CYCLES} or more are wanted", record.cycles.len()));
-    let best = probabilities.first().copied().unwrap_or(0.0);
-    if ranking.none >= ranking.unknown && ranking.none >= best {
+    let class = weighed.class();
+    if weighed.none >= weighed.unknown && weighed.none >= class {
         let verdict = if largest(nominal) <= NO_GAP { Verdict::NoGap } else { Verdict::Parameters };
         return (verdict, few);
     }
-    if ranking.unknown >= best {
+    if weighed.unknown >= class {
         let rest = "a gap is left that no effect of the catalogue explains".to_owned();
         return (Verdict::Unknown, Some(rest));
     }
     // Effects that look the same in this log share their probability.
-    let class: f64 = fits
-        .iter()
-        .zip(probabilities)
-        .filter(|((effect, _), _)| {
-            fits.first().is_some_and(|(first, _)| first.key() == effect.key())
-                || alike.contains(&effect.key())
-        })
-        .map(|(_, probability)| probability)
-        .sum();
     if class >= CHOSEN {
         return (Verdict::Effect, few);
     }
-    let names: Vec<&str> = fits
-        .iter()
-        .zip(probabilities)
-        .filter(|(_, probability)| **probability > 0.1)
-        .map(|((effect, _), _)| effect.key())
-        .collect();
+    let names: Vec<&str> =
+        weighed.effects().iter().filter(|(_, probability)| *probability > 0.1).map(|(effect, _)| effect.key).collect();
     (Verdict::CannotTell, Some(format!("several effects explain the log alike: {}", names.join(", "))))
 }
 
-/// Effects whose fitted signatures, beyond retuning, are the same up to size.
-fn equivalents(
-    beyond: &Beyond,
-    retuned: &Fit,
-    effect: &dyn Effect,
-    fit: &Fit,
-    fits: &[(&'static dyn Effect, Fit)],
-) -> Vec<&'static str> {
-    let signature = |fit: &Fit| beyond.project(&(&fit.residual - &retuned.residual));
-    let own = signature(fit);
-    fits.iter()
-        .filter(|(other, _)| other.key() != effect.key())
-        .filter(|(_, other)| {
-            let other = signature(other);
-            own.dot(&other) > EQUIVALENT * own.norm() * other.norm()
-        })
-        .map(|(other, _)| other.key())
-        .collect()
+/// All that a diagnosis is told from.
+struct Telling<'a, A> {
+    record: &'a Record,
+    spec: &'a A,
+    problem: &'a Problem<'a>,
+    nominal: &'a Fit<A>,
+    weighed: &'a Weighed<A>,
+    held_out: &'a HeldOut<'a>,
 }
 
-fn where_is(record: &Record, retuned: &Fit, cycles: &[usize]) -> Vec<Place> {
-    let recorded = record.mean(cycles);
-    let drive = &record.cycles[cycles[0]].drive;
-    let simulated = views(std::slice::from_ref(&retuned.spec), drive, &record.signals).swap_remove(0);
-    places(record, &retuned.spec, &recorded, &simulated)
-}
+impl<A: Axis> Telling<'_, A> {
+    /// The machine as diagnosed.
+    fn chosen(&self, verdict: Verdict) -> &Fit<A> {
+        match (verdict, self.weighed.explanations.first()) {
+            (Verdict::Effect, Some((best, _))) => &best.fit,
+            (Verdict::NoGap, _) => self.nominal,
+            _ => &self.weighed.retuned,
+        }
+    }
 
-/// Gaps on cycles that nothing was fitted to.
-struct Measured<'r> {
-    record: &'r Record,
-    cycles: &'r [usize],
-}
-
-impl Measured<'_> {
-    /// RMS over range, by machine and signal, each cycle against its own simulation.
-    fn gaps(&self, machines: &[MachineSpec]) -> Vec<Vec<f64>> {
-        let record = self.record;
-        let mut sums = vec![vec![0.0; record.signals.len()]; machines.len()];
-        let mut simulated: Option<(&[Instant], Vec<View>)> = None;
-        for cycle in self.cycles {
-            let cycle = &record.cycles[*cycle];
-            // Cycles with the very same drive have the very same simulation.
-            if simulated.as_ref().is_none_or(|(drive, _)| *drive != cycle.drive) {
-                simulated = Some((&cycle.drive, views(machines, &cycle.drive, &record.signals)));
+    fn diagnosis(&self, settings: &Settings, verdict: Verdict, reason: Option<String>, fitted: usize) -> Diagnosis {
+        let (record, weighed) = (self.record, self.weighed);
+        let (retuned, chosen) = (&weighed.retuned, self.chosen(verdict));
+        let effects = weighed.effects();
+        let mut machines = vec![self.nominal.spec.clone(), retuned.spec.clone(), chosen.spec.clone()];
+        let best: Vec<&Explanation<A>> = effects.iter().filter_map(|(effect, _)| weighed.best_with(effect.key)).collect();
+        machines.extend(best.iter().map(|explanation| explanation.fit.spec.clone()));
+        let gaps = self.held_out.gaps(&machines);
+        let shrink = |now: &[f64], to_floor: bool| self.held_out.shrink(&gaps[0], now, to_floor);
+        let findings: Vec<EffectFinding> = effects
+            .iter()
+            .zip(&best)
+            .zip(&gaps[3..])
+            .map(|(((effect, probability), explanation), gaps)| {
+                self.finding(effect, *probability, explanation, shrink(gaps, true))
+            })
+            .collect();
+        let told = |values: &[f64]| -> BTreeMap<&'static str, f64> {
+            record.signals.iter().map(|signal| signal.name()).zip(values.iter().copied()).collect()
+        };
+        let effects_chosen = match weighed.explanations.first() {
+            Some((best, _)) if verdict == Verdict::Effect => {
+                let parts = attributed(self.problem, self.held_out, &gaps[0], retuned, best, settings.iterations);
+                best.effects.iter().map(|effect| effect.key).zip(parts).collect()
             }
-            let Some((_, shown)) = &simulated else { continue };
-            for (sums, view) in sums.iter_mut().zip(shown) {
-                for (sum, (simulated, recorded)) in sums.iter_mut().zip(view.iter().zip(&cycle.bins)) {
-                    *sum += simulated.iter().zip(recorded).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
-                }
+            _ => Vec::new(),
+        };
+        Diagnosis {
+            schema: "seepd.gap/1",
+            cycles: CycleCounts { used: record.cycles.len(), fit: fitted, held_out: self.held_out.cycles.len() },
+            signals: record.signals.iter().map(|signal| signal.name()).collect(),
+            floor: told(&record.floor),
+            gap: Gaps { nominal: told(&gaps[0]), retuned: told(&gaps[1]), chosen: told(&gaps[2]) },
+            places: self.places(),
+            verdict,
+            reason,
+            seconds: 0.0,
+            unknown_probability: weighed.unknown,
+            no_effect_probability: weighed.none,
+            chosen: effects_chosen.iter().map(|(key, _)| *key).collect(),
+            shrink: Shrink {
+                of_removable: shrink(&gaps[2], true),
+                of_total: shrink(&gaps[2], false),
+                retune_only: shrink(&gaps[1], true),
+                by_effect: effects_chosen.into_iter().collect(),
+            },
+            retuned: self.retuned_parameters(),
+            leak: Leaks {
+                nominal_m2: leak(&self.nominal.spec),
+                retuned_m2: leak(&retuned.spec),
+                chosen_m2: leak(&chosen.spec),
+            },
+            distinguish: distinguish::<A>(record, &findings, &weighed.candidates, verdict),
+            effects: findings,
+            notes: record.notes.clone(),
+            curves: self.curves(&machines[..3]),
+        }
+    }
+
+    fn finding(
+        &self,
+        effect: &'static About,
+        probability: f64,
+        explanation: &Explanation<A>,
+        shrink: f64,
+    ) -> EffectFinding {
+        type Estimate = (f64, [f64; 2]);
+        let fit = &explanation.fit;
+        let own: Vec<(&'static str, Estimate)> = fit
+            .free
+            .iter()
+            .zip(fit.estimates())
+            .filter_map(|(free, estimate)| match free.target {
+                Target::Effect(of, index) if of.key == effect.key => Some((of.parameters[index].name, estimate)),
+                _ => None,
+            })
+            .collect();
+        EffectFinding {
+            effect: effect.key,
+            probability,
+            parameters: own.iter().map(|(name, estimate)| (*name, estimate.0)).collect(),
+            interval95: own.iter().map(|(name, estimate)| (*name, estimate.1)).collect(),
+            shrink,
+            equivalent: self.weighed.equivalents(effect.key),
+        }
+    }
+
+    fn retuned_parameters(&self) -> BTreeMap<&'static str, Retuned> {
+        let retuned = &self.weighed.retuned;
+        let wear = self.spec.wear().map(|tunable| tunable.key);
+        let mut told = BTreeMap::new();
+        for (parameter, (fitted, interval95)) in retuned.free.iter().zip(retuned.estimates()) {
+            let Target::Plant(tunable) = parameter.target else { continue };
+            if Some(tunable.key) != wear {
+                let nominal = self.spec.parameter(tunable.key);
+                told.insert(tunable.symbol, Retuned { nominal, fitted, interval95 });
             }
         }
-        let count = (self.cycles.len() * BINS) as f64;
-        let rms = |(sum, range): (&f64, &f64)| (sum / count).sqrt() / range;
-        sums.iter().map(|sums| sums.iter().zip(&record.range).map(rms).collect()).collect()
+        told
     }
 
-    /// Mean over signals with a gap of what is gone of it; of what is above the floor, or of the whole.
-    fn shrink(&self, nominal: &[f64], now: &[f64], to_floor: bool) -> f64 {
-        let shares: Vec<f64> = nominal
-            .iter()
-            .zip(now)
-            .zip(&self.record.floor)
-            .filter(|((nominal, _), floor)| **nominal > FLOORS * **floor)
-            .map(|((nominal, now), floor)| (nominal - now) / (nominal - if to_floor { *floor } else { 0.0 }))
-            .collect();
-        if shares.is_empty() { 0.0 } else { shares.iter().sum::<f64>() / shares.len() as f64 }
+    fn places(&self) -> Vec<Place> {
+        let cycles: Vec<usize> = split(self.record).0;
+        let recorded = self.record.mean(&cycles);
+        let drive = &self.record.cycles[cycles[0]].drive;
+        let retuned = &self.weighed.retuned.spec;
+        let simulated = views(std::slice::from_ref(retuned), drive, &self.record.signals).swap_remove(0);
+        places(self.record, retuned, &recorded, &simulated)
+    }
+
+    /// What the held-out cycles show beside the three machines: nominal, retuned, chosen.
+    fn curves(&self, machines: &[A]) -> Curves {
+        let cycles = self.held_out.cycles;
+        let drive = &self.record.cycles[cycles[0]].drive;
+        let mut shown = views(machines, drive, &self.record.signals).into_iter();
+        let mut next = || shown.next().unwrap_or_default();
+        let width_s = self.spec.duty_cycle().period_s / BINS as f64;
+        Curves {
+            t_s: (0..BINS).map(|bin| (bin as f64 + 0.5) * width_s).collect(),
+            recorded: self.record.mean(cycles),
+            nominal: next(),
+            retuned: next(),
+            chosen: next(),
+            phases: phase_spans(self.spec),
+        }
     }
 }
 
-fn retuned_parameters(nominal: &MachineSpec, retuned: &Fit) -> BTreeMap<&'static str, Retuned> {
-    let mut told = BTreeMap::new();
-    for (parameter, (fitted, interval95)) in retuned.free.iter().zip(retuned.estimates()) {
-        let Target::Plant(key) = parameter.target else { continue };
-        let symbol = PlantParameters::ALL.iter().find(|info| info.key == key).map_or(key, |info| info.symbol);
-        told.insert(
-            symbol,
-            Retuned { nominal: nominal.plant.get(key).unwrap_or(f64::NAN), fitted, interval95 },
-        );
-    }
-    told
+/// What wear has come to; NaN on an axis without.
+fn leak<A: Axis>(spec: &A) -> f64 {
+    spec.wear().map_or(f64::NAN, |tunable| spec.parameter(tunable.key))
 }
 
 /// What would tell apart what this log cannot.
-fn distinguish(
+fn distinguish<A: Axis>(
     record: &Record,
     effects: &[EffectFinding],
     candidates: &[Candidate],
     verdict: Verdict,
 ) -> Vec<String> {
     let mut told = Vec::new();
-    let pressures = record.signals.len() > 2;
+    let pressures = record.signals.len() > 2 || A::signals().len() == 2;
     if let Some(best) = effects.first().filter(|best| !best.equivalent.is_empty() && best.probability > 0.1) {
         let others = best.equivalent.join(", ");
         let lags = ["command_delay", "position_lag", "valve_lag"];
@@ -446,7 +395,7 @@ fn distinguish(
     let unseen: Vec<&str> = candidates
         .iter()
         .filter(|candidate| candidate.visible < VISIBLE)
-        .map(|candidate| candidate.effect.key())
+        .map(|candidate| candidate.effect.key)
         .collect();
     if !unseen.is_empty() {
         told.push(format!("with this duty cycle and these signals nothing shows of: {}", unseen.join(", ")));

@@ -4,11 +4,11 @@
 //! simulation at a time; here a Jacobian, and the steps of several dampings, are simulated side by side.
 
 use nalgebra::{DMatrix, DVector};
-use seepd_sim::MachineSpec;
 use seepd_sim::cycle::Instant;
-use seepd_sim::effects::Effect;
+use seepd_sim::effects::{About, Parameter};
 use seepd_sim::real::LANES;
 
+use crate::axis::{Axis, Scale, Tunable};
 use crate::record::{BINS, Record};
 use crate::simulate::{View, views};
 
@@ -17,167 +17,120 @@ use crate::simulate::{View, views};
 pub const INDEPENDENT: f64 = 60.0;
 /// Error that any model of a machine has, share of a signal's range: differences below it are no gap.
 pub const MODEL_ERROR: f64 = 0.002;
-/// Largest leak that is fitted, m².
-const LARGEST_LEAK_M2: f64 = 3e-5;
-/// Unit of the leak in the fit, m².
-const LEAK_UNIT_M2: f64 = 1e-7;
-
 /// What a free parameter is.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 pub enum Target {
     /// A parameter of the plant.
-    Plant(&'static str),
-    /// The leak area.
-    Leak,
+    Plant(Tunable),
     /// A parameter of an effect.
-    Effect(&'static dyn Effect, usize),
+    Effect(&'static About, usize),
 }
 
 /// A free parameter, in the fit's own coordinate.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 pub struct Free {
     /// What it is.
     pub target: Target,
-    logarithmic: bool,
-    /// Value of 1 in the coordinate, where it is linear.
-    unit: f64,
+    scale: Scale,
     low: f64,
     high: f64,
     /// Centre and standard deviation, in the coordinate.
     prior: Option<(f64, f64)>,
 }
 
-/// A plant parameter that may be retuned: bounds as factors and a prior as a standard deviation of the logarithm.
-struct Tunable {
-    key: &'static str,
-    low: f64,
-    high: f64,
-    sigma: f64,
+/// What wear changes, alone.
+pub fn wear_only<A: Axis>(spec: &A) -> Vec<Free> {
+    spec.wear().into_iter().map(|tunable| Free::of_plant(spec, tunable)).collect()
 }
 
-/// What retuning may change and how far; 15 % where data sheets are good, a factor of 2 where they are not.
-const TUNABLE: &[Tunable] = &[
-    Tunable { key: "valve_m3_per_s_sqrt_pa", low: 0.5, high: 2.0, sigma: 0.15 },
-    Tunable { key: "viscous_friction_n_s_per_m", low: 0.25, high: 4.0, sigma: std::f64::consts::LN_2 },
-    Tunable { key: "mass_kg", low: 0.25, high: 4.0, sigma: std::f64::consts::LN_2 },
-    Tunable { key: "pump_flow_m3_per_s", low: 0.5, high: 2.0, sigma: std::f64::consts::LN_2 },
-    Tunable { key: "relief_pressure_pa", low: 0.5, high: 1.2, sigma: 0.15 },
-    Tunable { key: "relief_resistance_pa_s_per_m3", low: 0.5, high: 2.0, sigma: std::f64::consts::LN_2 },
-    Tunable { key: "bulk_modulus_pa", low: 0.5, high: 2.0, sigma: 0.15 },
-    Tunable { key: "line_m3_per_s_sqrt_pa", low: 0.5, high: 2.0, sigma: 0.15 },
-    Tunable { key: "seal_resistance_pa_s_per_m3", low: 1.0 / 3.0, high: 3.0, sigma: std::f64::consts::LN_2 },
-    Tunable { key: "load_scale", low: 0.7, high: 1.3, sigma: std::f64::consts::LN_2 },
-];
-/// The return pressure is retuned by addition: largest value, and standard deviation, Pa.
-const RETURN_PRESSURE_PA: (f64, f64) = (2.5e6, 2e5);
-
-/// The leak alone.
-pub fn leak_only() -> Vec<Free> {
-    vec![Free {
-        target: Target::Leak,
-        logarithmic: false,
-        unit: LEAK_UNIT_M2,
-        low: 0.0,
-        high: LARGEST_LEAK_M2 / LEAK_UNIT_M2,
-        prior: None,
-    }]
-}
-
-/// The leak and every plant parameter that may be retuned.
-pub fn retunable(spec: &MachineSpec) -> Vec<Free> {
-    let mut free = leak_only();
-    for tunable in TUNABLE {
-        let Some(nominal) = spec.plant.get(tunable.key).filter(|value| *value > 0.0) else { continue };
-        let centre = nominal.ln();
-        free.push(Free {
-            target: Target::Plant(tunable.key),
-            logarithmic: true,
-            unit: 1.0,
-            low: centre + tunable.low.ln(),
-            high: centre + tunable.high.ln(),
-            prior: Some((centre, tunable.sigma)),
-        });
-    }
-    let (most, sigma) = RETURN_PRESSURE_PA;
-    let centre = spec.plant.return_pressure_pa / sigma;
-    free.push(Free {
-        target: Target::Plant("return_pressure_pa"),
-        logarithmic: false,
-        unit: sigma,
-        low: 0.0,
-        high: most / sigma,
-        prior: Some((centre, 1.0)),
-    });
-    free
+/// What wear changes, and every plant parameter that may be retuned.
+pub fn retunable<A: Axis>(spec: &A) -> Vec<Free> {
+    let tunables = spec.wear().into_iter().chain(spec.tunables());
+    tunables.map(|tunable| Free::of_plant(spec, tunable)).collect()
 }
 
 /// An effect's parameters.
-pub fn of_effect(effect: &'static dyn Effect, spec: &MachineSpec) -> Vec<Free> {
-    let of = |(index, parameter): (usize, &seepd_sim::effects::Parameter)| {
-        let (low, high) = range_of(parameter, spec);
-        let unit = 0.2 * (high - low);
-        Free {
-            target: Target::Effect(effect, index),
-            logarithmic: false,
-            unit,
-            low: low / unit,
-            high: high / unit,
-            prior: None,
-        }
+pub fn of_effect<A: Axis>(effect: &'static About, spec: &A) -> Vec<Free> {
+    let of = |(index, parameter): (usize, &Parameter)| {
+        let (low, high) = spec.range(effect, parameter);
+        let scale = Scale::Linear(0.2 * (high - low));
+        let at = |value| coordinate(scale, value);
+        Free { target: Target::Effect(effect, index), scale, low: at(low), high: at(high), prior: None }
     };
-    // A factor on a gain of 0 is none.
-    let acts = |parameter: &seepd_sim::effects::Parameter| {
-        !(effect.key() == "controller_gains" && parameter.name == "kd" && spec.controller.kd == 0.0)
-    };
-    effect.parameters().iter().enumerate().filter(|(_, parameter)| acts(parameter)).map(of).collect()
+    let parameters = effect.parameters.iter().enumerate();
+    parameters.filter(|(_, parameter)| spec.acts(effect, parameter)).map(of).collect()
 }
 
-/// A parameter's range on this machine: times end with the cycle, places with the stroke.
-pub(crate) fn range_of(parameter: &seepd_sim::effects::Parameter, spec: &MachineSpec) -> (f64, f64) {
-    let (low, high) = parameter.range;
-    match parameter.name {
-        "start_s" | "duration_s" => (low, high.min(spec.cycle.period_s)),
-        "neutral_position_m" => (low, spec.plant.stroke_m),
-        _ => (low, high),
+fn coordinate(scale: Scale, value: f64) -> f64 {
+    match scale {
+        Scale::Logarithmic => value.ln(),
+        Scale::Linear(unit) => value / unit,
     }
 }
 
+/// An effect's values on a machine, neutral where none is given.
+pub(crate) fn values_of<A: Axis>(effect: &About, spec: &A) -> Vec<f64> {
+    let given = spec.effects().get(effect.key);
+    effect
+        .parameters
+        .iter()
+        .map(|parameter| given.and_then(|g| g.get(parameter.name)).copied().unwrap_or(parameter.neutral))
+        .collect()
+}
+
 impl Free {
+    fn of_plant<A: Axis>(spec: &A, tunable: Tunable) -> Self {
+        let at = |value| coordinate(tunable.scale, value);
+        let (low, high) = tunable.bounds;
+        let centre = at(spec.parameter(tunable.key));
+        Free {
+            target: Target::Plant(tunable),
+            scale: tunable.scale,
+            low: at(low),
+            high: at(high),
+            prior: tunable.sigma.map(|sigma| (centre, sigma)),
+        }
+    }
+
+    /// Whether it belongs to one of these effects.
+    pub fn is_of(&self, effects: &[&str]) -> bool {
+        matches!(self.target, Target::Effect(effect, _) if effects.contains(&effect.key))
+    }
+
     /// The coordinate of a machine's value.
-    pub fn read(&self, spec: &MachineSpec) -> f64 {
+    pub fn read<A: Axis>(&self, spec: &A) -> f64 {
         let value = match self.target {
-            Target::Plant(key) => spec.plant.get(key).unwrap_or(f64::NAN),
-            Target::Leak => spec.plant.leak_area_m2,
-            Target::Effect(effect, index) => spec.effect_values(effect)[index],
+            Target::Plant(tunable) => spec.parameter(tunable.key),
+            Target::Effect(effect, index) => values_of(effect, spec)[index],
         };
-        let coordinate = if self.logarithmic { value.ln() } else { value / self.unit };
-        coordinate.clamp(self.low, self.high)
+        coordinate(self.scale, value).clamp(self.low, self.high)
     }
 
     /// The value at a coordinate.
     pub fn value(&self, coordinate: f64) -> f64 {
-        if self.logarithmic { coordinate.exp() } else { coordinate * self.unit }
+        match self.scale {
+            Scale::Logarithmic => coordinate.exp(),
+            Scale::Linear(unit) => coordinate * unit,
+        }
     }
 
-    fn write(&self, coordinate: f64, spec: &mut MachineSpec) {
+    fn write<A: Axis>(&self, coordinate: f64, spec: &mut A) {
         let value = self.value(coordinate);
         match self.target {
-            Target::Plant(key) => {
-                if let Some(slot) = spec.plant.get_mut(key) {
-                    *slot = value;
-                }
-            }
-            Target::Leak => spec.plant.leak_area_m2 = value,
+            Target::Plant(tunable) => spec.set_parameter(tunable.key, value),
             Target::Effect(effect, index) => {
-                let name = effect.parameters()[index].name;
-                spec.effects.entry(effect.key().into()).or_default().insert(name.into(), value);
+                let name = effect.parameters[index].name;
+                spec.effects_mut().entry(effect.key.into()).or_default().insert(name.into(), value);
             }
         }
     }
 
     /// Step of the derivative, towards the inside of the bounds.
     fn step(&self, coordinate: f64) -> f64 {
-        let step = if self.logarithmic { 2e-3 } else { 2e-3 * (self.high - self.low).min(5.0) };
+        let step = match self.scale {
+            Scale::Logarithmic => 2e-3,
+            Scale::Linear(_) => 2e-3 * (self.high - self.low).min(5.0),
+        };
         if coordinate + step > self.high { -step } else { step }
     }
 }
@@ -227,7 +180,7 @@ impl<'r> Problem<'r> {
     }
 
     /// Weighted differences of simulation and record, one row a machine: by drive, signal, bin.
-    pub fn residuals(&self, machines: &[MachineSpec]) -> Vec<DVector<f64>> {
+    pub fn residuals<A: Axis>(&self, machines: &[A]) -> Vec<DVector<f64>> {
         let length = self.drives.len() * self.record.signals.len() * BINS;
         let mut rows = vec![Vec::with_capacity(length); machines.len()];
         for (drive, shown) in self.drives.iter().zip(&self.shown) {
@@ -286,9 +239,9 @@ fn mean_drive(record: &Record, cycles: &[usize]) -> Vec<Instant> {
 
 /// A fitted machine.
 #[derive(Clone)]
-pub struct Fit {
+pub struct Fit<A> {
     /// The machine.
-    pub spec: MachineSpec,
+    pub spec: A,
     /// Its free parameters and their coordinates.
     pub free: Vec<Free>,
     /// See [`Fit::free`].
@@ -310,29 +263,36 @@ const DAMPINGS: [f64; LANES] = [0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0];
 /// Steps after which derivatives are simulated anew.
 const OLD_AGE: usize = 3;
 
-impl Fit {
+impl<A: Axis> Fit<A> {
     /// A machine as it is, with the derivatives there.
-    pub fn at(problem: &Problem<'_>, spec: &MachineSpec, free: Vec<Free>) -> Self {
-        let at = coordinates(spec, &free);
-        let residual = problem.residuals(std::slice::from_ref(spec)).swap_remove(0);
-        let cost = residual.norm_squared() + prior_cost(&free, &at);
-        let columns: Vec<usize> = (0..free.len()).collect();
-        let mut jacobian = DMatrix::zeros(residual.len(), free.len());
-        slopes(problem, spec, &free, &at, &residual, &columns, &mut jacobian);
-        Fit { spec: spec.clone(), free, at, residual, jacobian, cost, age: 0 }
+    pub fn at(problem: &Problem<'_>, spec: &A, free: Vec<Free>) -> Self {
+        Fit::beside(problem, spec, free, DMatrix::zeros(0, 0), 0)
     }
 
     /// This machine with further parameters, changed to `spec`: the derivatives by what was free before are taken over.
-    pub fn extended(&self, problem: &Problem<'_>, spec: &MachineSpec, further: Vec<Free>) -> Self {
-        let before = self.free.len();
+    pub fn extended(&self, problem: &Problem<'_>, spec: &A, further: Vec<Free>) -> Self {
         let free: Vec<Free> = self.free.iter().copied().chain(further).collect();
+        Fit::beside(problem, spec, free, self.jacobian.clone(), OLD_AGE - 1)
+    }
+
+    /// A machine with derivatives of some age by its first parameters; those by the others are simulated.
+    fn beside(
+        problem: &Problem<'_>,
+        spec: &A,
+        free: Vec<Free>,
+        known: DMatrix<f64>,
+        age: usize,
+    ) -> Self {
         let at = coordinates(spec, &free);
-        let residual = problem.residuals(std::slice::from_ref(spec)).swap_remove(0);
+        let columns: Vec<usize> = (known.ncols()..free.len()).collect();
+        let mut machines = vec![spec.clone()];
+        machines.extend(moved(spec, &free, &at, &columns));
+        let mut shown = problem.residuals(&machines).into_iter();
+        let residual = shown.next().unwrap_or_default();
+        let mut jacobian = known.resize(residual.len(), free.len(), 0.0);
+        set_slopes(&free, &at, &residual, &columns, shown, &mut jacobian);
         let cost = residual.norm_squared() + prior_cost(&free, &at);
-        let columns: Vec<usize> = (before..free.len()).collect();
-        let mut jacobian = self.jacobian.clone().resize_horizontally(free.len(), 0.0);
-        slopes(problem, spec, &free, &at, &residual, &columns, &mut jacobian);
-        Fit { spec: spec.clone(), free, at, residual, jacobian, cost, age: OLD_AGE - 1 }
+        Fit { spec: spec.clone(), free, at, residual, jacobian, cost, age }
     }
 
     /// Fits from a machine that may be far off: with errors that shrink step by step.
@@ -352,8 +312,8 @@ impl Fit {
     pub fn renewed(mut self, problem: &Problem<'_>) -> Self {
         if self.age > 0 {
             let columns: Vec<usize> = (0..self.free.len()).collect();
-            let Fit { spec, free, at, residual, jacobian, .. } = &mut self;
-            slopes(problem, spec, free, at, residual, &columns, jacobian);
+            let shown = problem.residuals(&moved(&self.spec, &self.free, &self.at, &columns)).into_iter();
+            set_slopes(&self.free, &self.at, &self.residual, &columns, shown, &mut self.jacobian);
             self.age = 0;
         }
         self
@@ -375,7 +335,7 @@ impl Fit {
                 .iter()
                 .filter_map(|factor| Some((damping * factor, self.step(weight, damping * factor)?)))
                 .collect();
-            let machines: Vec<MachineSpec> =
+            let machines: Vec<A> =
                 tried.iter().map(|(_, at)| placed(&self.spec, &self.free, at)).collect();
             let results = problem.residuals(&machines);
             let best = results
@@ -389,7 +349,7 @@ impl Fit {
             if let Some((better, residual, by, at)) = best.filter(|_| gain > 0.0) {
                 damping = by.clamp(1e-6, 1e6);
                 cost = better;
-                self.moved(at, residual);
+                self.take(at, residual);
             }
             if settled {
                 if fresh {
@@ -403,7 +363,7 @@ impl Fit {
     }
 
     /// Takes a step and what it showed.
-    fn moved(&mut self, at: DVector<f64>, residual: DVector<f64>) {
+    fn take(&mut self, at: DVector<f64>, residual: DVector<f64>) {
         let step = &at - &self.at;
         let surprise = &residual - &self.residual - &self.jacobian * &step;
         self.jacobian.ger(1.0 / step.norm_squared().max(1e-18), &surprise, &step, 1.0);
@@ -460,36 +420,37 @@ impl Fit {
 }
 
 /// A machine's coordinates.
-fn coordinates(spec: &MachineSpec, free: &[Free]) -> DVector<f64> {
+fn coordinates<A: Axis>(spec: &A, free: &[Free]) -> DVector<f64> {
     DVector::from_iterator(free.len(), free.iter().map(|parameter| parameter.read(spec)))
 }
 
 /// A machine at these coordinates.
-fn placed(spec: &MachineSpec, free: &[Free], at: &DVector<f64>) -> MachineSpec {
+fn placed<A: Axis>(spec: &A, free: &[Free], at: &DVector<f64>) -> A {
     let mut spec = spec.clone();
     free.iter().zip(at.iter()).for_each(|(parameter, at)| parameter.write(*at, &mut spec));
     spec
 }
 
-/// Derivatives of the differences by some of the parameters, by simulation.
-fn slopes(
-    problem: &Problem<'_>,
-    spec: &MachineSpec,
+/// Machines that are a small step away, one for each of some parameters.
+fn moved<A: Axis>(spec: &A, free: &[Free], at: &DVector<f64>, columns: &[usize]) -> Vec<A> {
+    let along = |column: &usize| {
+        let mut there = at.clone();
+        there[*column] += free[*column].step(at[*column]);
+        placed(spec, free, &there)
+    };
+    columns.iter().map(along).collect()
+}
+
+/// Derivatives by some of the parameters from what those machines showed.
+fn set_slopes(
     free: &[Free],
     at: &DVector<f64>,
     residual: &DVector<f64>,
     columns: &[usize],
+    shown: impl Iterator<Item = DVector<f64>>,
     jacobian: &mut DMatrix<f64>,
 ) {
-    let moved: Vec<MachineSpec> = columns
-        .iter()
-        .map(|column| {
-            let mut there = at.clone();
-            there[*column] += free[*column].step(at[*column]);
-            placed(spec, free, &there)
-        })
-        .collect();
-    for (column, there) in columns.iter().zip(problem.residuals(&moved)) {
+    for (column, there) in columns.iter().zip(shown) {
         jacobian.set_column(*column, &((there - residual) / free[*column].step(at[*column])));
     }
 }

@@ -5,15 +5,20 @@
 //! drive and bins what they show; [`fit`] retunes the plant's own parameters and fits effects; [`screen`] picks the effects that are
 //! worth fitting; [`rank`] weighs effects, "no effect" and "none of these"; [`places`] tells where the gap is; [`diagnosis`] puts it together.
 
+pub mod axis;
 pub mod diagnosis;
 pub mod fit;
 pub mod places;
+pub mod press;
 pub mod rank;
 pub mod record;
 pub mod report;
 pub mod screen;
+pub mod search;
+pub mod shrink;
 pub mod simulate;
 
+pub use axis::Axis;
 pub use diagnosis::{Settings, cannot_tell, diagnose, nominal_gap};
 pub use record::{Log, Record, RecordError};
 pub use report::Diagnosis;

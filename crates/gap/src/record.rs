@@ -1,12 +1,10 @@
 //! A log, aligned with the duty cycle and cut into cycles.
 
 use seepd_signals::Signal;
-use seepd_sim::MachineSpec;
 use seepd_sim::cycle::Instant;
 
-/// Signals that a diagnosis compares, in the order of reports.
-pub const COMPARED: [Signal; 6] =
-    [Signal::Command, Signal::Position, Signal::PSupply, Signal::PInlet, Signal::PCap, Signal::PRod];
+use crate::axis::Axis;
+
 /// Bins of a cycle in which signals are compared: 20 ms of the default duty cycle.
 pub const BINS: usize = 500;
 /// Fewest cycles with which a diagnosis is made at all, and with which it needs no warning.
@@ -84,7 +82,7 @@ pub struct Cycle {
 /// A log ready for diagnosis.
 #[derive(Debug, Clone)]
 pub struct Record {
-    /// Signals that the log has, of [`COMPARED`].
+    /// Signals that the log has, of those that are compared.
     pub signals: Vec<Signal>,
     /// Cycles.
     pub cycles: Vec<Cycle>,
@@ -106,12 +104,12 @@ impl Record {
     ///
     /// # Errors
     /// [`RecordError`] for a log that cannot be of such a machine, or with too few cycles.
-    pub fn new(log: &Log, spec: &MachineSpec) -> Result<Self, RecordError> {
+    pub fn new<A: Axis>(log: &Log, spec: &A) -> Result<Self, RecordError> {
         check(log, spec)?;
         let mut notes = Vec::new();
-        let ticks = (spec.cycle.period_s / spec.controller.period_s).round() as usize;
+        let ticks = (spec.duty_cycle().period_s / spec.tick_s()).round() as usize;
         let plan: Vec<f64> =
-            (0..ticks).map(|tick| spec.cycle.demand_m(tick as f64 * spec.controller.period_s)).collect();
+            (0..ticks).map(|tick| spec.duty_cycle().demand_m(tick as f64 * spec.tick_s())).collect();
         let guide = log.get(Signal::Demand).or(log.get(Signal::Position)).unwrap_or_default();
         if log.get(Signal::Demand).is_none() {
             notes.push("the log has no demand; the plant file's is taken, aligned by the position".into());
@@ -129,7 +127,7 @@ impl Record {
                 if log.get(Signal::Demand).is_some() { "the log's demand" } else { "the log's position" }
             )));
         }
-        let signals: Vec<Signal> = COMPARED.into_iter().filter(|signal| log.get(*signal).is_some()).collect();
+        let signals: Vec<Signal> = A::signals().iter().copied().filter(|signal| log.get(*signal).is_some()).collect();
         let (mut cycles, mut incomplete) = (Vec::new(), 0);
         for start in starts {
             match cut(log, spec, &signals, start, ticks) {
@@ -225,25 +223,14 @@ fn of_another_kind(cycles: &[Cycle], range: &[f64]) -> Vec<usize> {
 }
 
 /// Whether signals go together as they do on any such axis.
-fn plausible(signals: &[Signal], cycles: &[Cycle], spec: &MachineSpec) -> Result<(), RecordError> {
+fn plausible<A: Axis>(signals: &[Signal], cycles: &[Cycle], spec: &A) -> Result<(), RecordError> {
     let bins = |signal: Signal| {
         signals.iter().position(|other| *other == signal).map(|index| &cycles[0].bins[index])
     };
-    let (Some(u), Some(x)) = (bins(Signal::Command), bins(Signal::Position)) else { return Ok(()) };
-    let speed: Vec<f64> = (0..BINS).map(|bin| x[(bin + 1) % BINS] - x[(bin + BINS - 1) % BINS]).collect();
-    let together = correlation(u, &speed, 0, 1);
-    if together < -0.5 {
-        let what = format!(
-            "the command's sign is inverted (its correlation with the speed is {together:.2}); set scale = -1 in the mapping"
-        );
+    if let Some(what) = spec.contradiction(signals, &cycles[0]) {
         return Err(RecordError::Mismatch(what));
     }
-    if together < 0.3 {
-        let what = format!(
-            "the position does not follow the command (correlation of command and speed {together:.2})"
-        );
-        return Err(RecordError::Mismatch(what));
-    }
+    let Some(x) = bins(Signal::Position) else { return Ok(()) };
     let ticks = cycles[0].drive.len();
     let demand: Vec<f64> = (0..BINS).map(|bin| cycles[0].drive[bin * ticks / BINS].demand_m).collect();
     // The position follows by up to a twentieth of the cycle.
@@ -263,34 +250,11 @@ fn plausible(signals: &[Signal], cycles: &[Cycle], spec: &MachineSpec) -> Result
         let what = "the position runs ahead of the demand: the clocks of their topics are apart; map the messages' own time";
         return Err(RecordError::Mismatch(what.into()));
     }
-    swapped_chambers(bins(Signal::PCap), bins(Signal::PRod), &cycles[0].drive, spec)
-}
-
-/// Piston forces balance the load but for friction; with the chambers swapped they do not.
-fn swapped_chambers(
-    p_cap: Option<&Vec<f64>>,
-    p_rod: Option<&Vec<f64>>,
-    drive: &[Instant],
-    spec: &MachineSpec,
-) -> Result<(), RecordError> {
-    let (Some(p_cap), Some(p_rod)) = (p_cap, p_rod) else { return Ok(()) };
-    let rest = |cap: &[f64], rod: &[f64]| -> f64 {
-        (0..BINS)
-            .map(|bin| {
-                let load = drive[bin * drive.len() / BINS].load_n;
-                (spec.plant.cap_area_m2 * cap[bin] - spec.plant.annulus_area_m2 * rod[bin] + load).powi(2)
-            })
-            .sum()
-    };
-    if rest(p_rod, p_cap) < 0.1 * rest(p_cap, p_rod) {
-        let what = "p_cap and p_rod are swapped: with them exchanged the piston's forces balance".to_owned();
-        return Err(RecordError::Mismatch(what));
-    }
     Ok(())
 }
 
 /// What can be wrong with a log before anything is compared.
-fn check(log: &Log, spec: &MachineSpec) -> Result<(), RecordError> {
+fn check<A: Axis>(log: &Log, spec: &A) -> Result<(), RecordError> {
     for signal in [Signal::Command, Signal::Position] {
         let values = log.get(signal).ok_or(RecordError::Missing(signal.name()))?;
         let (low, high) = span(values);
@@ -310,7 +274,7 @@ fn check(log: &Log, spec: &MachineSpec) -> Result<(), RecordError> {
     for signal in [Signal::Position, Signal::Demand] {
         units(
             signal,
-            3.0 * spec.plant.stroke_m,
+            3.0 * spec.stroke_m(),
             "that looks like millimetres; set scale = 0.001 in the mapping",
         )?;
     }
@@ -331,7 +295,7 @@ fn check(log: &Log, spec: &MachineSpec) -> Result<(), RecordError> {
 }
 
 /// Pearson's correlation of a stretch of the guide with the plan; by every `step`-th tick.
-fn correlation(guide: &[f64], plan: &[f64], start: usize, step: usize) -> f64 {
+pub(crate) fn correlation(guide: &[f64], plan: &[f64], start: usize, step: usize) -> f64 {
     let Some(stretch) = guide.get(start..start + plan.len()) else { return f64::NEG_INFINITY };
     let pairs = || stretch.iter().zip(plan).step_by(step).filter(|(value, _)| value.is_finite());
     let n = pairs().count().max(1) as f64;
@@ -379,7 +343,7 @@ fn starts(guide: &[f64], plan: &[f64]) -> (Vec<usize>, f64) {
     (starts, best)
 }
 
-fn cut(log: &Log, spec: &MachineSpec, signals: &[Signal], start: usize, ticks: usize) -> Option<Cycle> {
+fn cut<A: Axis>(log: &Log, spec: &A, signals: &[Signal], start: usize, ticks: usize) -> Option<Cycle> {
     let stretch = |signal: Signal| -> Option<Vec<f64>> {
         let values = log.get(signal)?.get(start..start + ticks)?;
         bridged(values)
@@ -389,10 +353,10 @@ fn cut(log: &Log, spec: &MachineSpec, signals: &[Signal], start: usize, ticks: u
     let load = log.get(Signal::Load).is_some().then(|| stretch(Signal::Load));
     let (demand, load) =
         (demand.map_or(Some(None), |d| d.map(Some))?, load.map_or(Some(None), |l| l.map(Some))?);
-    let period_s = spec.controller.period_s;
+    let period_s = spec.tick_s();
     let load_at = |tick: usize| match &load {
         Some(load) => load[tick % ticks],
-        None => spec.cycle.load_n((tick % ticks) as f64 * period_s),
+        None => spec.duty_cycle().load_n((tick % ticks) as f64 * period_s),
     };
     let drive = (0..ticks)
         .map(|tick| Instant {
@@ -400,7 +364,7 @@ fn cut(log: &Log, spec: &MachineSpec, signals: &[Signal], start: usize, ticks: u
             at_s: tick as f64 * period_s,
             demand_m: demand
                 .as_ref()
-                .map_or_else(|| spec.cycle.demand_m(tick as f64 * period_s), |d| d[tick]),
+                .map_or_else(|| spec.duty_cycle().demand_m(tick as f64 * period_s), |d| d[tick]),
             load_n: load_at(tick),
             load_end_n: load_at(tick + 1),
             leak_area_m2: 0.0,

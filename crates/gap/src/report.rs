@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use seepd_sim::MachineSpec;
 use serde::Serialize;
 
 use crate::simulate::View;
@@ -47,9 +46,6 @@ pub struct Diagnosis {
     pub distinguish: Vec<String>,
     /// What to know of the log.
     pub notes: Vec<String>,
-    /// The machine as diagnosed, with its leak.
-    #[serde(skip)]
-    pub machine: MachineSpec,
     /// What was recorded and simulated, for plots.
     #[serde(skip)]
     pub curves: Curves,
@@ -141,7 +137,7 @@ pub struct EffectFinding {
 }
 
 /// How far the gap shrinks.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Shrink {
     /// With the chosen effects, of what is above the floor.
     pub of_removable: f64,
@@ -149,6 +145,8 @@ pub struct Shrink {
     pub of_total: f64,
     /// With retuning alone, of what is above the floor.
     pub retune_only: f64,
+    /// Part of the first that each chosen effect has beyond retuning (Shapley values): with `retune_only` they add up to it.
+    pub by_effect: BTreeMap<&'static str, f64>,
 }
 
 /// A retuned parameter.
@@ -162,7 +160,7 @@ pub struct Retuned {
     pub interval95: [f64; 2],
 }
 
-/// Leak estimates, m².
+/// Leak estimates, m²; NaN (`null`) for an axis without a leak.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Leaks {
     /// By the plant file's machine.

@@ -1,16 +1,16 @@
 //! Which effects are worth a fit: what each explains of the gap beyond what retuning explains.
 
 use nalgebra::{DMatrix, DVector};
-use seepd_sim::MachineSpec;
-use seepd_sim::effects::{self, Effect};
+use seepd_sim::effects::About;
 
-use crate::fit::{Fit, Problem, normal_matrix, range_of};
+use crate::axis::Axis;
+use crate::fit::{Fit, Problem, normal_matrix};
 
 /// An effect at the strength at which it explains most.
 #[derive(Clone)]
 pub struct Candidate {
     /// The effect.
-    pub effect: &'static dyn Effect,
+    pub effect: &'static About,
     /// Its values.
     pub values: Vec<f64>,
     /// How much of the retuned cost it takes away, to first order.
@@ -26,16 +26,16 @@ const TWO_SIDED: [f64; 4] = [0.12, 0.38, 0.62, 0.88];
 const PLACES: [f64; 6] = [0.05, 0.2, 0.35, 0.5, 0.65, 0.8];
 
 /// Screens the catalogue, but for some effects, on the retuned machine; the most promising first.
-pub fn screen(problem: &Problem<'_>, retuned: &Fit, without: &[String]) -> Vec<Candidate> {
-    let mut tried: Vec<(&'static dyn Effect, Vec<f64>)> = Vec::new();
-    for effect in effects::ALL.iter().copied() {
+pub fn screen<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, without: &[String]) -> Vec<Candidate> {
+    let mut tried: Vec<(&'static About, Vec<f64>)> = Vec::new();
+    for effect in A::catalogue() {
         // What the plant file has already is part of the plant.
-        if !retuned.spec.effects.contains_key(effect.key()) && !without.iter().any(|key| key == effect.key()) {
+        if !retuned.spec.effects().contains_key(effect.key) && !without.iter().any(|key| key == effect.key) {
             tried.extend(levels(effect, &retuned.spec).into_iter().map(|values| (effect, values)));
         }
     }
-    let machines: Vec<MachineSpec> =
-        tried.iter().map(|(effect, values)| with(&retuned.spec, *effect, values)).collect();
+    let machines: Vec<A> =
+        tried.iter().map(|(effect, values)| with(&retuned.spec, effect, values)).collect();
     let beyond = Beyond::new(retuned);
     let base = beyond.project(&retuned.residual);
     let mut best: Vec<Candidate> = Vec::new();
@@ -46,7 +46,7 @@ pub fn screen(problem: &Problem<'_>, retuned: &Fit, without: &[String]) -> Vec<C
         let amount = (-signature.dot(&base) / square).clamp(0.2, 1.5);
         let gain = base.norm_squared() - (&base + &signature * amount).norm_squared();
         let candidate = Candidate { effect, values, gain, visible: square.sqrt() };
-        match best.iter_mut().find(|other| other.effect.key() == effect.key()) {
+        match best.iter_mut().find(|other| other.effect.key == effect.key) {
             Some(other) if candidate.gain > other.gain => *other = candidate,
             Some(_) => {}
             None => best.push(candidate),
@@ -57,20 +57,20 @@ pub fn screen(problem: &Problem<'_>, retuned: &Fit, without: &[String]) -> Vec<C
 }
 
 /// The machine with an effect at these values.
-pub(crate) fn with(spec: &MachineSpec, effect: &dyn Effect, values: &[f64]) -> MachineSpec {
+pub(crate) fn with<A: Axis>(spec: &A, effect: &About, values: &[f64]) -> A {
     let mut spec = spec.clone();
-    let table = spec.effects.entry(effect.key().into()).or_default();
-    for (parameter, value) in effect.parameters().iter().zip(values) {
+    let table = spec.effects_mut().entry(effect.key.into()).or_default();
+    for (parameter, value) in effect.parameters.iter().zip(values) {
         table.insert(parameter.name.into(), *value);
     }
     spec
 }
 
 /// Combinations of the parameters' levels.
-fn levels(effect: &dyn Effect, spec: &MachineSpec) -> Vec<Vec<f64>> {
+fn levels<A: Axis>(effect: &About, spec: &A) -> Vec<Vec<f64>> {
     let mut combinations: Vec<Vec<f64>> = vec![Vec::new()];
-    for (index, parameter) in effect.parameters().iter().enumerate() {
-        let (low, high) = range_of(parameter, spec);
+    for (index, parameter) in effect.parameters.iter().enumerate() {
+        let (low, high) = spec.range(effect, parameter);
         let inside = low < parameter.neutral && parameter.neutral < high;
         let shares: &[f64] = match parameter.name {
             "start_s" => &PLACES,
@@ -100,7 +100,7 @@ pub(crate) struct Beyond {
 }
 
 impl Beyond {
-    pub(crate) fn new(fit: &Fit) -> Self {
+    pub(crate) fn new<A>(fit: &Fit<A>) -> Self {
         let matrix = normal_matrix(&fit.free, &fit.jacobian, 1.0);
         let size = matrix.nrows();
         let inverse = matrix.try_inverse().unwrap_or_else(|| DMatrix::zeros(size, size));

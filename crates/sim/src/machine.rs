@@ -67,6 +67,8 @@ pub struct Machine<T: Real> {
     plant: Plant<T>,
     pid: Pid<T>,
     laws: Vec<Box<dyn Law<T>>>,
+    /// Whether a law acts within the balances.
+    in_balances: bool,
     /// Whether a law has states of its own.
     has_states: bool,
     steps: usize,
@@ -113,6 +115,7 @@ impl<T: Real> Machine<T> {
         Machine {
             plant,
             pid,
+            in_balances: laws.iter().any(|law| law.is_in_balances()),
             has_states: laws.iter().any(|law| law.has_states()),
             laws,
             steps,
@@ -188,7 +191,11 @@ impl<T: Real> Machine<T> {
             }
             let load_end = load + load_step;
             let drive = Drive { u, load, load_end, a_leak: input.a_leak, at: input.at };
-            let acting = ActingLaws { laws: &self.laws, memory: &state.memory };
+            let acting = if self.in_balances {
+                ActingLaws { laws: &self.laws, memory: &state.memory }
+            } else {
+                ActingLaws { laws: &[], memory: &[] }
+            };
             let next = self.plant.rk4(&state.plant, &drive, self.dt, &acting);
             if self.has_states {
                 self.plant.advance_laws(&state.plant, &drive, self.dt, &self.laws, &mut state.memory);

@@ -22,6 +22,9 @@ pub struct MachineSpec {
     pub cycle: DutyCycle,
     /// Effects by key, each with its parameters by name.
     pub effects: BTreeMap<String, BTreeMap<String, f64>>,
+    /// Least and largest value of plant parameters that a diagnosis may retune, by key or symbol; absent: its own bounds.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub bounds: BTreeMap<String, [f64; 2]>,
 }
 
 /// Why a plant file is refused.
@@ -114,6 +117,12 @@ impl MachineSpec {
             .collect()
     }
 
+    /// The bounds that the file gives for a plant parameter.
+    pub fn bounds_of(&self, key: &str) -> Option<(f64, f64)> {
+        let symbol = PlantParameters::ALL.iter().find(|info| info.key == key)?.symbol;
+        self.bounds.get(key).or_else(|| self.bounds.get(symbol)).map(|[low, high]| (*low, *high))
+    }
+
     /// Sets an effect's parameter given as `effect.parameter=value`, as on the command line.
     ///
     /// # Errors
@@ -149,10 +158,26 @@ impl MachineSpec {
                 ));
             }
         }
+        self.check_bounds()?;
         self.check_controller()?;
         self.check_cycle()?;
         self.check_effects()?;
         self.check_stability()
+    }
+
+    fn check_bounds(&self) -> Result<(), SpecError> {
+        for (name, [low, high]) in &self.bounds {
+            let Some(info) = PlantParameters::ALL.iter().find(|info| info.key == name || info.symbol == name) else {
+                let known: Vec<&str> = PlantParameters::ALL.iter().map(|info| info.key).collect();
+                let message = format!("bounds: {}", unknown_key(name, &known));
+                return Err(SpecError::Structure { line: None, message });
+            };
+            in_range(format!("bounds.{name}"), *low, info.minimum, f64::MAX)?;
+            in_range(format!("bounds.{name}"), *high, *low, f64::MAX)?;
+            let value = self.plant.get(info.key).unwrap_or(f64::NAN);
+            in_range(format!("plant.{}", info.key), value, *low, *high)?;
+        }
+        Ok(())
     }
 
     fn check_controller(&self) -> Result<(), SpecError> {

@@ -282,12 +282,12 @@ fn diagnose(arguments: &DiagnoseArguments) -> Result<Outcome, Failure> {
             let Some(log) = &log else { continue };
             let begin = std::time::Instant::now();
             let settings = Settings { without: vec![without.clone()], ..Settings::default() };
-            let mut diagnosis = pool
+            let (mut diagnosis, machine) = pool
                 .install(|| answer(&view.of(log), &spec, &settings, &mut |_| ()))
                 .map_err(|error| Failure::data(format!("{name}: {error}")))?;
             diagnosis.seconds = begin.elapsed().as_secs_f64();
             let plant = arguments.answers.join(format!("{name}.{}.toml", view.name()));
-            fs::write(&plant, emitted(&diagnosis)?).map_err(|error| Failure::writing(&plant, error))?;
+            fs::write(&plant, emitted(machine)?).map_err(|error| Failure::writing(&plant, error))?;
             write_json(&path, &diagnosis)?;
         }
     }

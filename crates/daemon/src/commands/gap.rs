@@ -109,11 +109,11 @@ pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
     let diagnosed = pool(arguments.threads)?
         .install(|| answer(&log, &spec, &settings, &mut |done| bar.set_position(done as u64)));
     bar.finish_and_clear();
-    let mut diagnosis = diagnosed.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
+    let (mut diagnosis, machine) = diagnosed.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
     diagnosis.notes.extend(notes);
     diagnosis.seconds = begin.elapsed().as_secs_f64();
     if let Some(path) = &arguments.emit_plant {
-        fs::write(path, emitted(&diagnosis)?).map_err(|error| Failure::writing(path, error))?;
+        fs::write(path, emitted(machine)?).map_err(|error| Failure::writing(path, error))?;
     }
     write(arguments, path, &spec, &diagnosis)
 }
@@ -139,11 +139,11 @@ pub(super) fn answer(
     spec: &MachineSpec,
     settings: &Settings,
     tell: &mut dyn FnMut(usize),
-) -> Result<Diagnosis, RecordError> {
+) -> Result<(Diagnosis, MachineSpec), RecordError> {
     match Record::new(log, spec) {
         Ok(record) => Ok(diagnose(&record, spec, settings, tell)),
         Err(error @ (RecordError::Units { .. } | RecordError::Mismatch(_))) => {
-            Ok(cannot_tell(spec, error.to_string()))
+            Ok((cannot_tell(error.to_string()), spec.clone()))
         }
         Err(error) => Err(error),
     }
@@ -153,8 +153,7 @@ pub(super) fn answer(
 ///
 /// # Errors
 /// [`Failure`] where it cannot be written as TOML.
-pub(super) fn emitted(diagnosis: &Diagnosis) -> Result<String, Failure> {
-    let mut machine = diagnosis.machine.clone();
+pub(super) fn emitted(mut machine: MachineSpec) -> Result<String, Failure> {
     machine.plant.leak_area_m2 = 0.0;
     machine.to_toml().map_err(|error| Failure::new(Code::Internal, error.to_string()))
 }

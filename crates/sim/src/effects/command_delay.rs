@@ -21,6 +21,10 @@ impl<T: Real> Delay<T> {
 }
 
 impl<T: Real> Law<T> for Delay<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn memory(&self) -> usize {
         REMEMBERED
     }

@@ -18,6 +18,10 @@ impl<T: Real> Steps<T> {
 }
 
 impl<T: Real> Law<T> for Steps<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         let rounded = (command / self.step).map(libm::round) * self.step;
         self.step.where_positive(rounded, command)

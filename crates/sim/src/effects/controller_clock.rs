@@ -21,6 +21,10 @@ impl<T: Real> Clock<T> {
 }
 
 impl<T: Real> Law<T> for Clock<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn adjust(&self, constants: &mut Constants<'_, T>) {
         *constants.dt = *constants.dt * (self.period / T::splat(ASSUMED_S));
     }

@@ -20,6 +20,10 @@ impl<T: Real> Gains<T> {
 }
 
 impl<T: Real> Law<T> for Gains<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn adjust(&self, constants: &mut Constants<'_, T>) {
         let pid = &mut *constants.pid;
         pid.kp = pid.kp * self.kp;

@@ -19,6 +19,10 @@ impl<T: Real> Hoses<T> {
 }
 
 impl<T: Real> Law<T> for Hoses<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn adjust(&self, constants: &mut Constants<'_, T>) {
         constants.plant.v_01 += self.a;
         constants.plant.v_02 += self.b;

@@ -311,6 +311,11 @@ pub trait Law<T: Real>: Send + Sync {
         0
     }
 
+    /// Whether it acts within the balances: by [`Law::open`], [`Law::act`] or [`Law::soften`]. Machines without such a law run faster.
+    fn is_in_balances(&self) -> bool {
+        true
+    }
+
     /// Whether it has states of its own, which [`Law::advance`] advances.
     fn has_states(&self) -> bool {
         false

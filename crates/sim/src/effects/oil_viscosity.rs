@@ -18,6 +18,10 @@ impl<T: Real> Viscosity<T> {
 }
 
 impl<T: Real> Law<T> for Viscosity<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn adjust(&self, constants: &mut Constants<'_, T>) {
         let (plant, factor) = (&mut *constants.plant, self.factor);
         plant.b_v = plant.b_v * factor;

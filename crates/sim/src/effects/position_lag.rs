@@ -18,6 +18,10 @@ impl<T: Real> Lag<T> {
 }
 
 impl<T: Real> Law<T> for Lag<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     /// The reading at the last tick, and whether there was one.
     fn memory(&self) -> usize {
         2

@@ -18,6 +18,10 @@ impl<T: Real> Grid<T> {
 }
 
 impl<T: Real> Law<T> for Grid<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn sense(&self, _memory: &mut [T], position: T, _sensing: &Sensing<T>) -> T {
         let rounded = (position / self.step).map(libm::round) * self.step;
         self.step.where_positive(rounded, position)

@@ -18,6 +18,10 @@ impl<T: Real> ScaleFactor<T> {
 }
 
 impl<T: Real> Law<T> for ScaleFactor<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn sense(&self, _memory: &mut [T], position: T, _sensing: &Sensing<T>) -> T {
         position * self.factor
     }

@@ -21,6 +21,10 @@ impl<T: Real> Sine<T> {
 }
 
 impl<T: Real> Law<T> for Sine<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn sense(&self, _memory: &mut [T], position: T, _sensing: &Sensing<T>) -> T {
         position + self.amplitude * (self.wave_number * position).map(libm::sin)
     }

@@ -18,6 +18,10 @@ impl<T: Real> Bias<T> {
 }
 
 impl<T: Real> Law<T> for Bias<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         command + self.offset
     }

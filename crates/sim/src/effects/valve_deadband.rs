@@ -18,6 +18,10 @@ impl<T: Real> Deadband<T> {
 }
 
 impl<T: Real> Law<T> for Deadband<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         let beyond = (command.abs() - self.half_width).max(T::splat(0.0));
         command.where_positive(beyond, -beyond)

@@ -21,6 +21,10 @@ impl<T: Real> Shape<T> {
 const LINEAR_BELOW: f64 = 1e-4;
 
 impl<T: Real> Law<T> for Shape<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         T::from_lanes(|lane| {
             let (u, n) = (command.lane(lane), self.exponent.lane(lane));

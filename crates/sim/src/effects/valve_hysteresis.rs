@@ -18,6 +18,10 @@ impl<T: Real> Play<T> {
 }
 
 impl<T: Real> Law<T> for Play<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn memory(&self) -> usize {
         1
     }

@@ -19,6 +19,10 @@ impl<T: Real> SecondOrder<T> {
 }
 
 impl<T: Real> Law<T> for SecondOrder<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     /// Spool position, and speed in 1/s.
     fn memory(&self) -> usize {
         2

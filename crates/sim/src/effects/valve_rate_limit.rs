@@ -18,6 +18,10 @@ impl<T: Real> RateLimit<T> {
 }
 
 impl<T: Real> Law<T> for RateLimit<T> {
+    fn is_in_balances(&self) -> bool {
+        false
+    }
+
     fn memory(&self) -> usize {
         1
     }

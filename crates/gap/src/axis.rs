@@ -1,0 +1,78 @@
+//! What a plant has to offer so that its gap can be diagnosed.
+
+use std::collections::BTreeMap;
+
+use seepd_signals::Signal;
+use seepd_sim::DutyCycle;
+use seepd_sim::cycle::Instant;
+use seepd_sim::effects::{About, Parameter};
+
+use crate::record::Cycle;
+use crate::simulate::View;
+
+/// Values of effects by effect and parameter.
+pub type Values = BTreeMap<String, BTreeMap<String, f64>>;
+
+/// A parameter that a fit may change.
+#[derive(Debug, Clone, Copy)]
+pub struct Tunable {
+    /// Key in the plant file.
+    pub key: &'static str,
+    /// Symbol in reports.
+    pub symbol: &'static str,
+    /// Least and largest value, SI.
+    pub bounds: (f64, f64),
+    /// How it is counted.
+    pub scale: Scale,
+    /// Standard deviation of what is known of it beforehand, on its scale; `None` for nothing.
+    pub sigma: Option<f64>,
+}
+
+/// How a parameter is counted in a fit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Scale {
+    /// By its logarithm.
+    Logarithmic,
+    /// In units of this size.
+    Linear(f64),
+}
+
+/// Balances of a plant on recorded or simulated signals: equation, and imbalance in each bin over the size of its largest term.
+pub type Imbalances = Vec<(&'static str, Vec<f64>)>;
+
+/// A plant with its controller and duty cycle: parameters with bounds, effects, balances, simulation.
+pub trait Axis: Clone + Send + Sync {
+    /// Effects that can be added to it.
+    fn catalogue() -> Vec<&'static About>;
+    /// Signals that are compared where a log has them; command and position first.
+    fn signals() -> &'static [Signal];
+    /// Parameters that retuning may change.
+    fn tunables(&self) -> Vec<Tunable>;
+    /// The parameter that wear changes: it is fitted in every machine, and no gap.
+    fn wear(&self) -> Option<Tunable>;
+    /// A parameter's value; NaN for a key that it lacks.
+    fn parameter(&self, key: &str) -> f64;
+    /// Sets a parameter; nothing for a key that it lacks.
+    fn set_parameter(&mut self, key: &str, value: f64);
+    /// Its effects.
+    fn effects(&self) -> &Values;
+    /// Its effects, to change.
+    fn effects_mut(&mut self) -> &mut Values;
+    /// An effect's parameter's range on this machine.
+    fn range(&self, effect: &About, parameter: &Parameter) -> (f64, f64);
+    /// Whether an effect's parameter changes anything on this machine.
+    fn acts(&self, effect: &About, parameter: &Parameter) -> bool;
+    /// Its duty cycle.
+    fn duty_cycle(&self) -> &DutyCycle;
+    /// Controller period, s.
+    fn tick_s(&self) -> f64;
+    /// Stroke, m.
+    fn stroke_m(&self) -> f64;
+    /// Simulates machines along a drive, closed loop, and bins what they show after the first `warm_up` ticks. A simulation that goes out
+    /// of bounds shows NaN.
+    fn run(machines: &[Self], drive: &[Instant], warm_up: usize, signals: &[Signal]) -> Vec<View>;
+    /// The balances that the signals allow.
+    fn imbalances(&self, signals: &[Signal], view: &View) -> Imbalances;
+    /// What about a cycle cannot be on such an axis, in a sentence.
+    fn contradiction(&self, signals: &[Signal], cycle: &Cycle) -> Option<String>;
+}

@@ -1,0 +1,312 @@
+//! The hydraulic press as an axis whose gap is diagnosed.
+
+use rayon::prelude::*;
+use seepd_signals::Signal;
+use seepd_sim::Record as Tick;
+use seepd_sim::batch::follow;
+use seepd_sim::cycle::Instant;
+use seepd_sim::effects::{self, About, Parameter};
+use seepd_sim::real::{LANES, Lanes};
+use seepd_sim::{DutyCycle, MachineSpec, PlantParameters};
+
+use crate::axis::{Axis, Imbalances, Scale, Tunable, Values};
+use crate::record::{BINS, Cycle, bin_of, correlation};
+use crate::simulate::View;
+
+/// What retuning may change: bounds as factors, and a prior as a standard deviation of the logarithm: 15 % where data sheets are good, a
+/// factor of 2 where they are not.
+const BY_FACTOR: &[(&str, f64, f64, f64)] = &[
+    ("valve_m3_per_s_sqrt_pa", 0.5, 2.0, 0.15),
+    ("viscous_friction_n_s_per_m", 0.25, 4.0, std::f64::consts::LN_2),
+    ("mass_kg", 0.25, 4.0, std::f64::consts::LN_2),
+    ("pump_flow_m3_per_s", 0.5, 2.0, std::f64::consts::LN_2),
+    ("relief_pressure_pa", 0.5, 1.2, 0.15),
+    ("relief_resistance_pa_s_per_m3", 0.5, 2.0, std::f64::consts::LN_2),
+    ("bulk_modulus_pa", 0.5, 2.0, 0.15),
+    ("line_m3_per_s_sqrt_pa", 0.5, 2.0, 0.15),
+    ("seal_resistance_pa_s_per_m3", 1.0 / 3.0, 3.0, std::f64::consts::LN_2),
+    ("load_scale", 0.7, 1.3, std::f64::consts::LN_2),
+];
+/// The return pressure is retuned by addition: largest value, and standard deviation, Pa.
+const RETURN_PRESSURE_PA: (f64, f64) = (2.5e6, 2e5);
+/// Largest leak that is fitted, and its unit in the fit, m².
+const LEAK_M2: (f64, f64) = (3e-5, 1e-7);
+
+fn symbol_of(key: &'static str) -> &'static str {
+    PlantParameters::ALL.iter().find(|info| info.key == key).map_or(key, |info| info.symbol)
+}
+
+impl Axis for MachineSpec {
+    fn catalogue() -> Vec<&'static About> {
+        effects::ALL.iter().map(|effect| effect.about()).collect()
+    }
+
+    fn signals() -> &'static [Signal] {
+        &[Signal::Command, Signal::Position, Signal::PSupply, Signal::PInlet, Signal::PCap, Signal::PRod]
+    }
+
+    fn tunables(&self) -> Vec<Tunable> {
+        let by_factor = BY_FACTOR.iter().filter_map(|(key, low, high, sigma)| {
+            let nominal = self.plant.get(key).filter(|value| *value > 0.0)?;
+            Some(Tunable {
+                key,
+                symbol: symbol_of(key),
+                bounds: self.bounds_of(key).unwrap_or((nominal * low, nominal * high)),
+                scale: Scale::Logarithmic,
+                sigma: Some(*sigma),
+            })
+        });
+        let (most, sigma) = RETURN_PRESSURE_PA;
+        let key = "return_pressure_pa";
+        let returned = Tunable {
+            key,
+            symbol: symbol_of(key),
+            bounds: self.bounds_of(key).unwrap_or((0.0, most)),
+            scale: Scale::Linear(sigma),
+            sigma: Some(1.0),
+        };
+        by_factor.chain([returned]).collect()
+    }
+
+    fn wear(&self) -> Option<Tunable> {
+        let key = "leak_area_m2";
+        let bounds = self.bounds_of(key).unwrap_or((0.0, LEAK_M2.0));
+        Some(Tunable { key, symbol: symbol_of(key), bounds, scale: Scale::Linear(LEAK_M2.1), sigma: None })
+    }
+
+    fn parameter(&self, key: &str) -> f64 {
+        self.plant.get(key).unwrap_or(f64::NAN)
+    }
+
+    fn set_parameter(&mut self, key: &str, value: f64) {
+        if let Some(slot) = self.plant.get_mut(key) {
+            *slot = value;
+        }
+    }
+
+    fn effects(&self) -> &Values {
+        &self.effects
+    }
+
+    fn effects_mut(&mut self) -> &mut Values {
+        &mut self.effects
+    }
+
+    /// Times end with the cycle, places with the stroke.
+    fn range(&self, _effect: &About, parameter: &Parameter) -> (f64, f64) {
+        let (low, high) = parameter.range;
+        match parameter.name {
+            "start_s" | "duration_s" => (low, high.min(self.cycle.period_s)),
+            "neutral_position_m" => (low, self.plant.stroke_m),
+            _ => (low, high),
+        }
+    }
+
+    /// A factor on a gain of 0 is none.
+    fn acts(&self, effect: &About, parameter: &Parameter) -> bool {
+        !(effect.key == "controller_gains" && parameter.name == "kd" && self.controller.kd == 0.0)
+    }
+
+    fn duty_cycle(&self) -> &DutyCycle {
+        &self.cycle
+    }
+
+    fn tick_s(&self) -> f64 {
+        self.controller.period_s
+    }
+
+    fn stroke_m(&self) -> f64 {
+        self.plant.stroke_m
+    }
+
+    fn run(machines: &[Self], drive: &[Instant], warm_up: usize, signals: &[Signal]) -> Vec<View> {
+        let ticks = drive.len() - warm_up;
+        machines
+            .par_chunks(LANES)
+            .flat_map_iter(|machines| {
+                let mut sums = vec![vec![[0.0; LANES]; BINS]; signals.len()];
+                let mut counts = vec![0u32; BINS];
+                follow(machines, drive, |tick, record| {
+                    let Some(tick) = tick.checked_sub(warm_up) else { return };
+                    let bin = bin_of(tick, ticks);
+                    counts[bin] += 1;
+                    for (signal, sums) in signals.iter().zip(&mut sums) {
+                        for (sum, value) in sums[bin].iter_mut().zip(of(record, *signal).0) {
+                            *sum += value;
+                        }
+                    }
+                });
+                let view = |lane: usize| -> View {
+                    let mean = |bins: &Vec<[f64; LANES]>| {
+                        bins.iter()
+                            .zip(&counts)
+                            .map(|(sum, count)| sum[lane] / f64::from((*count).max(1)))
+                            .collect()
+                    };
+                    sums.iter().map(mean).collect()
+                };
+                (0..machines.len()).map(view).collect::<Vec<View>>()
+            })
+            .collect()
+    }
+
+    fn imbalances(&self, signals: &[Signal], view: &View) -> Imbalances {
+        imbalances(self, signals, view)
+    }
+
+    fn contradiction(&self, signals: &[Signal], cycle: &Cycle) -> Option<String> {
+        inverted_command(signals, cycle).or_else(|| swapped_chambers(self, signals, cycle))
+    }
+}
+
+fn of(record: &Tick<Lanes>, signal: Signal) -> Lanes {
+    match signal {
+        Signal::Command => record.command,
+        Signal::Demand => record.demand,
+        Signal::Position => record.position,
+        Signal::PSupply => record.p_supply,
+        Signal::PInlet => record.p_inlet,
+        Signal::PCap => record.p_cap,
+        Signal::PRod => record.p_rod,
+        Signal::Load | Signal::CycleStart => record.load,
+    }
+}
+
+/// A signal's bins, if it is there.
+fn bins_of<'v>(signals: &[Signal], signal: Signal, view: &'v View) -> Option<&'v Vec<f64>> {
+    signals.iter().position(|other| *other == signal).map(|index| &view[index])
+}
+
+fn imbalances(spec: &MachineSpec, signals: &[Signal], view: &View) -> Imbalances {
+    let signal = |signal: Signal| bins_of(signals, signal, view);
+    let dt = spec.cycle.period_s / BINS as f64;
+    let p = &spec.plant;
+    let slope = |values: &[f64], bin: usize| {
+        (values[(bin + 1) % BINS] - values[(bin + BINS - 1) % BINS]) / (2.0 * dt)
+    };
+    let sq = |k: f64, dp: f64| k * dp / (dp * dp + p.transition_pressure_pa.powi(2)).powf(0.25);
+    let mut all = Vec::new();
+    let (Some(u), Some(x)) = (signal(Signal::Command), signal(Signal::Position)) else { return all };
+    let load = |bin: usize| spec.cycle.load_n((bin as f64 + 0.5) * dt) * p.load_scale;
+    if let (Some(p_1), Some(p_2)) = (signal(Signal::PCap), signal(Signal::PRod)) {
+        let force = (0..BINS).map(|bin| {
+            let v = slope(x, bin);
+            let acceleration = (x[(bin + 1) % BINS] - 2.0 * x[bin] + x[(bin + BINS - 1) % BINS]) / (dt * dt);
+            (p.cap_area_m2 * p_1[bin] - p.annulus_area_m2 * p_2[bin] - p.viscous_friction_n_s_per_m * v
+                + load(bin)
+                - p.mass_kg * acceleration)
+                / (p.cap_area_m2 * p.relief_pressure_pa)
+        });
+        all.push(("force", force.collect()));
+        if let Some(p_3) = signal(Signal::PInlet) {
+            let leak = |bin: usize| {
+                let dp = p_1[bin] - p_2[bin];
+                sq(p.discharge_coefficient * p.leak_area_m2 * (2.0 / p.density_kg_per_m3).sqrt(), dp)
+                    + dp / p.seal_resistance_pa_s_per_m3
+            };
+            let opening = |bin: usize| p.valve_m3_per_s_sqrt_pa * u[bin].abs();
+            let flow_1 = |bin: usize| {
+                let source = if u[bin] > 0.0 { p_3[bin] } else { p.return_pressure_pa };
+                sq(opening(bin), source - p_1[bin])
+            };
+            let flow_2 = |bin: usize| {
+                let source = if u[bin] > 0.0 { p.return_pressure_pa } else { p_3[bin] };
+                sq(opening(bin), source - p_2[bin])
+            };
+            let scale = p.pump_flow_m3_per_s;
+            let cap = (0..BINS).map(|bin| {
+                let volume = p.cap_dead_volume_m3 + p.cap_area_m2 * x[bin];
+                (flow_1(bin)
+                    - p.cap_area_m2 * slope(x, bin)
+                    - leak(bin)
+                    - volume / p.bulk_modulus_pa * slope(p_1, bin))
+                    / scale
+            });
+            all.push(("cap", cap.collect()));
+            let rod = (0..BINS).map(|bin| {
+                let volume = p.rod_dead_volume_m3 + p.annulus_area_m2 * (p.stroke_m - x[bin]);
+                (flow_2(bin) + p.annulus_area_m2 * slope(x, bin) + leak(bin)
+                    - volume / p.bulk_modulus_pa * slope(p_2, bin))
+                    / scale
+            });
+            all.push(("rod", rod.collect()));
+            if let Some(p_s) = signal(Signal::PSupply) {
+                let line = |bin: usize| sq(p.line_m3_per_s_sqrt_pa, p_s[bin] - p_3[bin]);
+                let inlet = (0..BINS).map(|bin| {
+                    let drawn = if u[bin] > 0.0 { flow_1(bin) } else { flow_2(bin) };
+                    (line(bin) - drawn - p.inlet_volume_m3 / p.bulk_modulus_pa * slope(p_3, bin)) / scale
+                });
+                all.push(("inlet", inlet.collect()));
+                let supply = (0..BINS).map(|bin| {
+                    let relief =
+                        ((p_s[bin] - p.relief_pressure_pa) / p.relief_resistance_pa_s_per_m3).max(0.0);
+                    (p.pump_flow_m3_per_s
+                        - line(bin)
+                        - relief
+                        - p.supply_volume_m3 / p.bulk_modulus_pa * slope(p_s, bin))
+                        / scale
+                });
+                all.push(("supply", supply.collect()));
+            }
+        }
+    }
+    if !all.iter().any(|(equation, _)| *equation == "cap") {
+        // Without all pressures: the speed that the command gives against the speed that there is.
+        let flow = (0..BINS).map(|bin| {
+            let fastest = p.valve_m3_per_s_sqrt_pa * (0.5 * p.relief_pressure_pa).sqrt();
+            (u[bin] * fastest - p.cap_area_m2 * slope(x, bin)) / p.pump_flow_m3_per_s
+        });
+        all.push(("flow", flow.collect()));
+    }
+    all.push(("controller", controller(spec, u, x, dt)));
+    all
+}
+
+/// The command's rate against what the controller makes of demand and position: the integrator's start does not count.
+fn controller(spec: &MachineSpec, u: &[f64], x: &[f64], dt: f64) -> Vec<f64> {
+    let c = &spec.controller;
+    let error = |bin: usize| {
+        let bin = bin % BINS;
+        spec.cycle.demand_m((bin as f64 + 0.5) * dt) - x[bin]
+    };
+    (0..BINS)
+        .map(|bin| {
+            let (next, before) = (bin + 1, bin + BINS - 1);
+            let rate = (u[next % BINS] - u[before % BINS]) / (2.0 * dt);
+            rate - c.kp * (error(next) - error(before)) / (2.0 * dt) - c.ki * error(bin)
+        })
+        .collect()
+}
+
+/// The command opens the valve, and the piston moves.
+fn inverted_command(signals: &[Signal], cycle: &Cycle) -> Option<String> {
+    let bins = |signal: Signal| bins_of(signals, signal, &cycle.bins);
+    let (u, x) = (bins(Signal::Command)?, bins(Signal::Position)?);
+    let speed: Vec<f64> = (0..BINS).map(|bin| x[(bin + 1) % BINS] - x[(bin + BINS - 1) % BINS]).collect();
+    let together = correlation(u, &speed, 0, 1);
+    if together < -0.5 {
+        return Some(format!(
+            "the command's sign is inverted (its correlation with the speed is {together:.2}); set scale = -1 in the mapping"
+        ));
+    }
+    (together < 0.3).then(|| {
+        format!("the position does not follow the command (correlation of command and speed {together:.2})")
+    })
+}
+
+/// Piston forces balance the load but for friction; with the chambers swapped they do not.
+fn swapped_chambers(spec: &MachineSpec, signals: &[Signal], cycle: &Cycle) -> Option<String> {
+    let bins = |signal: Signal| bins_of(signals, signal, &cycle.bins);
+    let (p_cap, p_rod) = (bins(Signal::PCap)?, bins(Signal::PRod)?);
+    let drive = &cycle.drive;
+    let rest = |cap: &[f64], rod: &[f64]| -> f64 {
+        (0..BINS)
+            .map(|bin| {
+                let load = drive[bin * drive.len() / BINS].load_n;
+                (spec.plant.cap_area_m2 * cap[bin] - spec.plant.annulus_area_m2 * rod[bin] + load).powi(2)
+            })
+            .sum()
+    };
+    (rest(p_rod, p_cap) < 0.1 * rest(p_cap, p_rod))
+        .then(|| "p_cap and p_rod are swapped: with them exchanged the piston's forces balance".to_owned())
+}

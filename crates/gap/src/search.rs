@@ -1,0 +1,183 @@
+//! The search for machines that explain a record: one effect beside other parameters, then two and three.
+
+use rayon::prelude::*;
+use seepd_sim::effects::About;
+
+use crate::axis::Axis;
+use crate::diagnosis::Settings;
+use crate::fit::{Fit, Problem, of_effect, values_of};
+use crate::screen::{Candidate, screen, with};
+
+/// A machine with some effects, fitted.
+#[derive(Clone)]
+pub struct Explanation<A> {
+    /// Effects, the first found first.
+    pub effects: Vec<&'static About>,
+    /// The machine.
+    pub fit: Fit<A>,
+}
+
+impl<A: Axis> Explanation<A> {
+    /// Whether an effect is part of it.
+    pub fn has(&self, key: &str) -> bool {
+        self.effects.iter().any(|effect| effect.key == key)
+    }
+
+    /// Parameters of its effects.
+    pub fn parameters(&self) -> usize {
+        self.effects.iter().map(|effect| effect.parameters.len()).sum()
+    }
+}
+
+/// What a search found.
+pub struct Found<A> {
+    /// The retuned machine.
+    pub retuned: Fit<A>,
+    /// Effects screened beside it, the most promising first.
+    pub candidates: Vec<Candidate>,
+    /// Machines with one effect or more.
+    pub explanations: Vec<Explanation<A>>,
+}
+
+/// Effects that are fitted from both machines.
+const TWICE: usize = 3;
+/// Share of the cost below which retuning anew is worth another round of fits.
+const WORTH_ANOTHER_ROUND: f64 = 0.9;
+/// Machines with one effect that are given a second, and effects that are tried as the next one.
+const BEAM: usize = 2;
+const NEXT: usize = 4;
+/// Most effects of a machine.
+const MOST_EFFECTS: usize = 3;
+/// Mean square over expected error of a signal up to which nothing is left to explain.
+const NOTHING_LEFT: f64 = 3.0;
+/// Share of the cost that a further effect has to leave at most to be kept.
+const WORTH_ANOTHER_EFFECT: f64 = 0.7;
+
+/// Searches from the retuned and the untouched machine.
+pub fn search<A: Axis>(
+    problem: &Problem<'_>,
+    untouched: &Fit<A>,
+    retuned: Fit<A>,
+    far: &[Candidate],
+    settings: &Settings,
+) -> Found<A> {
+    let mut found = Found { candidates: screen(problem, &retuned, &settings.without), retuned, explanations: Vec::new() };
+    found.explanations = single_effects(problem, untouched, &found.retuned, &found.candidates, far, settings);
+    // An effect's fit that owes its success to the parameters beside it shows where retuning should have gone.
+    let better = repolished(problem, &found, settings);
+    if better.cost < WORTH_ANOTHER_ROUND * found.retuned.cost {
+        found.retuned = better;
+        found.candidates = screen(problem, &found.retuned, &settings.without);
+        found.explanations = single_effects(problem, untouched, &found.retuned, &found.candidates, far, settings);
+    }
+    if something_left(problem, &found.retuned) {
+        add_effects(problem, &mut found.explanations, settings);
+    }
+    found
+}
+
+fn something_left<A>(problem: &Problem<'_>, fit: &Fit<A>) -> bool {
+    problem.by_signal(&fit.residual).into_iter().any(|square| square > NOTHING_LEFT)
+}
+
+/// Retuning from where the best effect's fit has put the plant's parameters, without the effect.
+fn repolished<A: Axis>(problem: &Problem<'_>, found: &Found<A>, settings: &Settings) -> Fit<A> {
+    let best = found.explanations.iter().min_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+    let Some(best) = best else { return found.retuned.clone() };
+    let mut start = best.fit.spec.clone();
+    for effect in &best.effects {
+        start.effects_mut().remove(effect.key);
+    }
+    let free = found.retuned.free.clone();
+    Fit::at(problem, &start, free).fitted(problem, 2 * settings.iterations).renewed(problem)
+}
+
+/// Fits the most promising effects: those that explain most beside the retuned machine, and those that do beside the untouched one, since
+/// retuning may have bent other parameters to the gap. The best of all are fitted from both.
+fn single_effects<A: Axis>(
+    problem: &Problem<'_>,
+    untouched: &Fit<A>,
+    retuned: &Fit<A>,
+    near: &[Candidate],
+    far: &[Candidate],
+    settings: &Settings,
+) -> Vec<Explanation<A>> {
+    let fit = |(candidate, from_afar): &(&Candidate, bool)| {
+        let start = if *from_afar { untouched } else { retuned };
+        let fit = beside(problem, start, candidate.effect, &candidate.values);
+        if *from_afar {
+            fit.from_afar(problem, settings.iterations)
+        } else {
+            fit.fitted(problem, settings.iterations)
+        }
+    };
+    let mut starts: Vec<(&Candidate, bool)> = near.iter().take(settings.fitted).map(|c| (c, false)).collect();
+    starts.extend(far.iter().take(settings.fitted).map(|c| (c, true)));
+    let mut fits: Vec<Explanation<A>> = Vec::new();
+    keep_better(&mut fits, starts.iter().zip(starts.par_iter().map(fit).collect::<Vec<_>>()));
+    fits.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+    let best: Vec<&str> = fits.iter().take(TWICE).map(|one| one.effects[0].key).collect();
+    let untried = |(candidate, from_afar): &(&Candidate, bool)| {
+        let key = candidate.effect.key;
+        best.contains(&key) && !starts.iter().any(|(c, n)| c.effect.key == key && n == from_afar)
+    };
+    let others = near.iter().map(|c| (c, false)).chain(far.iter().map(|c| (c, true)));
+    let more: Vec<(&Candidate, bool)> = others.filter(untried).collect();
+    keep_better(&mut fits, more.iter().zip(more.par_iter().map(fit).collect::<Vec<_>>()));
+    fits.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+    fits
+}
+
+/// The machine with a further effect, its parameters free.
+fn beside<A: Axis>(problem: &Problem<'_>, start: &Fit<A>, effect: &'static About, values: &[f64]) -> Fit<A> {
+    let machine = with(&start.spec, effect, values);
+    start.extended(problem, &machine, of_effect(effect, &machine))
+}
+
+fn keep_better<'c, A>(
+    fits: &mut Vec<Explanation<A>>,
+    results: impl Iterator<Item = (&'c (&'c Candidate, bool), Fit<A>)>,
+) {
+    for ((candidate, _), fit) in results {
+        match fits.iter_mut().find(|other| other.effects[0].key == candidate.effect.key) {
+            Some(other) if fit.cost < other.fit.cost => other.fit = fit,
+            Some(_) => {}
+            None => fits.push(Explanation { effects: vec![candidate.effect], fit }),
+        }
+    }
+}
+
+/// Forward selection: the best machines get a further effect as long as something is left and the next one takes much of it.
+fn add_effects<A: Axis>(problem: &Problem<'_>, explanations: &mut Vec<Explanation<A>>, settings: &Settings) {
+    let mut bases: Vec<Explanation<A>> = explanations.iter().take(BEAM).cloned().collect();
+    for _ in 1..MOST_EFFECTS {
+        let mut grown: Vec<Explanation<A>> = Vec::new();
+        for base in bases.iter().filter(|base| something_left(problem, &base.fit)) {
+            let fit = base.fit.clone().renewed(problem);
+            let next = screen(problem, &fit, &settings.without);
+            let tried: Vec<Explanation<A>> = next
+                .par_iter()
+                .take(NEXT)
+                .map(|candidate| {
+                    let grown = beside(problem, &fit, candidate.effect, &candidate.values);
+                    let effects = base.effects.iter().copied().chain([candidate.effect]).collect();
+                    Explanation { effects, fit: grown.fitted(problem, settings.iterations) }
+                })
+                .collect();
+            grown.extend(tried.into_iter().filter(|one| one.fit.cost < WORTH_ANOTHER_EFFECT * base.fit.cost));
+        }
+        grown.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+        bases = grown.iter().take(1).cloned().collect();
+        explanations.extend(grown.into_iter().filter(|one| !one.is_idle()));
+    }
+}
+
+impl<A: Axis> Explanation<A> {
+    /// Whether one of its effects has been fitted away.
+    fn is_idle(&self) -> bool {
+        self.effects.iter().any(|effect| {
+            let values = values_of(effect, &self.fit.spec);
+            effect.parameters.iter().zip(values).all(|(parameter, value)| value == parameter.neutral)
+        })
+    }
+}
