@@ -42,6 +42,8 @@ const NO_GAP: f64 = 4.0;
 const CHOSEN: f64 = 0.5;
 /// Cosine of signatures from which two effects are the same in this log.
 const EQUIVALENT: f64 = 0.97;
+/// Share of the best machine's probability from which another that looks like it is as good.
+const ALIKE: f64 = 0.5;
 /// Signature, in expected errors, below which an effect cannot be seen.
 const VISIBLE: f64 = 2.0;
 
@@ -64,6 +66,13 @@ pub fn diagnose<A: Axis>(
     tell(2);
     let found = search(&problem, &untouched, retuned, &far, settings);
     tell(3);
+    if std::env::var_os("SEEPD_GAP_TRACE").is_some() {
+        let told = |fit: &Fit<A>| format!("{:.1} {:?}", fit.cost, problem.by_signal(&fit.residual).iter().map(|x| (x * 100.0).round() / 100.0).collect::<Vec<_>>());
+        eprintln!("nominal {}\nretuned {}", told(&nominal), told(&found.retuned));
+        for one in &found.explanations {
+            eprintln!("{:?} {} {:.1}", one.effects.iter().map(|e| e.key).collect::<Vec<_>>(), told(&one.fit), crate::rank::score(&problem, &one.fit, one.parameters() as f64));
+        }
+    }
     let weighed = Weighed::new(&problem, found);
     let (verdict, reason) = verdict(&problem, record, &nominal, &weighed);
     let held_out = HeldOut { record, cycles: &held_out };
@@ -132,15 +141,19 @@ impl<A: Axis> Weighed<A> {
             found.explanations.into_iter().zip(probabilities).collect();
         explanations.sort_by(|a, b| b.1.total_cmp(&a.1));
         let beyond = Beyond::new(&found.retuned);
-        Weighed { retuned: found.retuned, candidates: found.candidates, explanations, unknown, none, beyond }
+        let mut weighed =
+            Weighed { retuned: found.retuned, candidates: found.candidates, explanations, unknown, none, beyond };
+        weighed.prefer_the_common();
+        weighed
     }
 
-    /// Each effect's probability, most likely first: a machine with several shares its own among them.
+    /// Each effect's probability, most likely first: a machine with several shares its own among them, half as much to each later found.
     fn effects(&self) -> Vec<(&'static About, f64)> {
         let mut effects: Vec<(&'static About, f64)> = Vec::new();
         for (explanation, probability) in &self.explanations {
-            let share = probability / explanation.effects.len() as f64;
-            for effect in &explanation.effects {
+            let halves: f64 = (0..explanation.effects.len()).map(|place| 0.5f64.powi(place as i32)).sum();
+            for (place, effect) in explanation.effects.iter().enumerate() {
+                let share = probability * 0.5f64.powi(place as i32) / halves;
                 match effects.iter_mut().find(|(other, _)| other.key == effect.key) {
                     Some((_, sum)) => *sum += share,
                     None => effects.push((effect, share)),
@@ -156,35 +169,64 @@ impl<A: Axis> Weighed<A> {
         self.explanations.iter().map(|(explanation, _)| explanation).find(|explanation| explanation.has(key))
     }
 
-    /// Effects that, put in the place of one in a machine, have the same signature up to its size.
+    /// Effects that, put in the place of one in the most likely machine with it, have the same signature up to its size.
     fn equivalents(&self, key: &str) -> Vec<&'static str> {
-        let alone = |explanation: &&(Explanation<A>, f64)| explanation.0.effects.len() == 1;
-        let signature =
-            |explanation: &Explanation<A>| self.beyond.project(&(&explanation.fit.residual - &self.retuned.residual));
-        let Some(own) = self.explanations.iter().filter(alone).find(|(explanation, _)| explanation.has(key)) else {
-            return Vec::new();
+        let Some(own) = self.best_with(key) else { return Vec::new() };
+        let of_rest = |other: &&Explanation<A>| {
+            other.effects.len() + 1 == own.effects.len() && other.effects.iter().all(|e| e.key != key && own.has(e.key))
         };
-        let own = signature(&own.0);
-        self.explanations
-            .iter()
-            .filter(alone)
-            .filter(|(other, _)| !other.has(key))
-            .filter(|(other, _)| {
-                let other = signature(other);
-                own.dot(&other) > EQUIVALENT * own.norm() * other.norm()
-            })
-            .map(|(other, _)| other.effects[0].key)
-            .collect()
+        let base = match self.machines().find(of_rest) {
+            Some(rest) => &rest.fit,
+            None if own.effects.len() == 1 => &self.retuned,
+            None => return Vec::new(),
+        };
+        let signature =
+            |explanation: &Explanation<A>| self.beyond.project(&(&explanation.fit.residual - &base.residual));
+        let own_signature = signature(own);
+        // Machines that differ in this one effect.
+        let instead = |other: &Explanation<A>| {
+            let different: Vec<&'static str> =
+                other.effects.iter().map(|effect| effect.key).filter(|key| !own.has(key)).collect();
+            let replaces = other.effects.len() == own.effects.len() && !other.has(key) && different.len() == 1;
+            let other = signature(other);
+            (replaces && own_signature.dot(&other) > EQUIVALENT * own_signature.norm() * other.norm())
+                .then(|| different[0])
+        };
+        self.machines().filter_map(instead).collect()
+    }
+
+    fn machines(&self) -> impl Iterator<Item = &Explanation<A>> {
+        self.explanations.iter().map(|(explanation, _)| explanation)
+    }
+
+    /// Among machines that this log hardly tells apart, the one whose effects come first in the catalogue is named.
+    fn prefer_the_common(&mut self) {
+        let Some((best, probability)) = self.explanations.first() else { return };
+        let place = |explanation: &Explanation<A>| -> usize {
+            let catalogue = A::catalogue();
+            let place_of = |key: &str| catalogue.iter().position(|about| about.key == key).unwrap_or(0);
+            explanation.effects.iter().map(|effect| place_of(effect.key)).sum()
+        };
+        let close = |other: &(Explanation<A>, f64)| {
+            other.1 > ALIKE * probability && other.0.parameters() <= best.parameters() && self.is_like(best, &other.0)
+        };
+        let alike = self.explanations.iter().enumerate().filter(|(_, other)| close(other));
+        if let Some((index, _)) = alike.min_by_key(|(_, (explanation, _))| place(explanation)) {
+            self.explanations.swap(0, index);
+        }
+    }
+
+    /// Whether each effect of the other machine is in the best one or looks like one of its effects.
+    fn is_like(&self, best: &Explanation<A>, other: &Explanation<A>) -> bool {
+        let alike: Vec<&str> = best.effects.iter().flat_map(|effect| self.equivalents(effect.key)).collect();
+        other.effects.iter().all(|effect| best.has(effect.key) || alike.contains(&effect.key))
     }
 
     /// Probability of the most likely machine and of those with its like.
     fn class(&self) -> f64 {
         let Some((best, _)) = self.explanations.first() else { return 0.0 };
-        let alike: Vec<&str> = best.effects.iter().flat_map(|effect| self.equivalents(effect.key)).collect();
-        let same = |other: &Explanation<A>| {
-            other.effects.iter().all(|effect| best.has(effect.key) || alike.contains(&effect.key))
-        };
-        self.explanations.iter().filter(|(other, _)| same(other)).map(|(_, probability)| probability).sum()
+        let alike = self.explanations.iter().filter(|(other, _)| self.is_like(best, other));
+        alike.map(|(_, probability)| probability).sum()
     }
 }
 
@@ -314,6 +356,7 @@ impl<A: Axis> Telling<'_, A> {
             .collect();
         EffectFinding {
             effect: effect.key,
+            law: effect.law,
             probability,
             parameters: own.iter().map(|(name, estimate)| (*name, estimate.0)).collect(),
             interval95: own.iter().map(|(name, estimate)| (*name, estimate.1)).collect(),

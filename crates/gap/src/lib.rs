@@ -7,6 +7,7 @@
 
 pub mod axis;
 pub mod diagnosis;
+pub mod electric;
 pub mod fit;
 pub mod places;
 pub mod press;

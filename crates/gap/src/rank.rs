@@ -37,7 +37,8 @@ fn likelihood(by_signal: &[f64]) -> f64 {
     -0.5 * INDEPENDENT * by_signal.iter().map(|square| square.ln_1p()).sum::<f64>()
 }
 
-fn score<A>(problem: &Problem<'_>, fit: &Fit<A>, parameters: f64) -> f64 {
+/// Score of a machine whose effects have that many parameters.
+pub(crate) fn score<A>(problem: &Problem<'_>, fit: &Fit<A>, parameters: f64) -> f64 {
     likelihood(&problem.by_signal(&fit.residual))
         - 0.5 * prior_cost(&fit.free, &fit.at)
         - 0.5 * parameters * INDEPENDENT.ln()

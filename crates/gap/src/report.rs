@@ -124,6 +124,8 @@ pub enum Verdict {
 pub struct EffectFinding {
     /// Key.
     pub effect: &'static str,
+    /// Its law.
+    pub law: &'static str,
     /// Probability.
     pub probability: f64,
     /// Values.

@@ -6,6 +6,7 @@ use seepd_sim::effects::About;
 use crate::axis::Axis;
 use crate::diagnosis::Settings;
 use crate::fit::{Fit, Problem, of_effect, values_of};
+use crate::rank::score;
 use crate::screen::{Candidate, screen, with};
 
 /// A machine with some effects, fitted.
@@ -44,7 +45,7 @@ const TWICE: usize = 3;
 /// Share of the cost below which retuning anew is worth another round of fits.
 const WORTH_ANOTHER_ROUND: f64 = 0.9;
 /// Machines with one effect that are given a second, and effects that are tried as the next one.
-const BEAM: usize = 2;
+const BEAM: usize = 3;
 const NEXT: usize = 4;
 /// Most effects of a machine.
 const MOST_EFFECTS: usize = 3;
@@ -149,7 +150,7 @@ fn keep_better<'c, A>(
 
 /// Forward selection: the best machines get a further effect as long as something is left and the next one takes much of it.
 fn add_effects<A: Axis>(problem: &Problem<'_>, explanations: &mut Vec<Explanation<A>>, settings: &Settings) {
-    let mut bases: Vec<Explanation<A>> = explanations.iter().take(BEAM).cloned().collect();
+    let mut bases = most_likely(problem, explanations, BEAM);
     for _ in 1..MOST_EFFECTS {
         let mut grown: Vec<Explanation<A>> = Vec::new();
         for base in bases.iter().filter(|base| something_left(problem, &base.fit)) {
@@ -166,10 +167,16 @@ fn add_effects<A: Axis>(problem: &Problem<'_>, explanations: &mut Vec<Explanatio
                 .collect();
             grown.extend(tried.into_iter().filter(|one| one.fit.cost < WORTH_ANOTHER_EFFECT * base.fit.cost));
         }
-        grown.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
-        bases = grown.iter().take(1).cloned().collect();
+        bases = most_likely(problem, &grown, 1);
         explanations.extend(grown.into_iter().filter(|one| !one.is_idle()));
     }
+}
+
+fn most_likely<A: Axis>(problem: &Problem<'_>, from: &[Explanation<A>], count: usize) -> Vec<Explanation<A>> {
+    let mut sorted: Vec<(f64, &Explanation<A>)> =
+        from.iter().map(|one| (score(problem, &one.fit, one.parameters() as f64), one)).collect();
+    sorted.sort_by(|a, b| b.0.total_cmp(&a.0));
+    sorted.into_iter().take(count).map(|(_, one)| one.clone()).collect()
 }
 
 impl<A: Axis> Explanation<A> {

@@ -12,6 +12,7 @@ pub mod batch;
 pub mod controller;
 pub mod cycle;
 pub mod effects;
+pub mod electric;
 pub mod machine;
 pub mod noise;
 pub mod plant;

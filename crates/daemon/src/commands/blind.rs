@@ -8,6 +8,7 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
+use rayon::prelude::*;
 use seepd_blind::cause::{Case, Truth};
 use seepd_blind::press::Variation;
 use seepd_blind::score::{Answer, Answered, Scores, score};
@@ -181,10 +182,12 @@ fn plant(arguments: &PlantArguments) -> Result<Outcome, Failure> {
     }
     let cases = seepd_blind::draw(arguments.seed, arguments.each.into(), arguments.sizes.into());
     let bar = progress_bar(cases.len() as u64, "planting");
-    for case in &cases {
-        write_case(&arguments.logs.join(format!("{}.mcap", case.name)), case, arguments.cycles.into())?;
+    cases.par_iter().try_for_each(|case| {
+        let path = arguments.logs.join(format!("{}.mcap", case.name));
+        write_case(&path, case, arguments.cycles.into())?;
         bar.inc(1);
-    }
+        Ok(())
+    })?;
     bar.finish_and_clear();
     let task = Task { without: cases.iter().map(|c| (c.name.clone(), c.without.clone())).collect() };
     write_json(&arguments.logs.join(TASK), &task)?;
@@ -213,7 +216,7 @@ const NOISE: (f64, f64, f64, f64) = (1e-3, 1e-5, 2e4, 20.0);
 fn write_case(path: &Path, case: &Case, cycles: usize) -> Result<(), Failure> {
     let writing = |error| Failure::writing(path, error);
     let file = File::create(path).map_err(|error| Failure::writing(path, error))?;
-    let mut sink = McapSink::new(BufWriter::new(file), ChunkCompression::Lz4).map_err(writing)?;
+    let mut sink = McapSink::new(BufWriter::new(file), ChunkCompression::Zstd).map_err(writing)?;
     let channel = sink.add_channel("/axis/signals", "seepd.Signals", schema::SIGNALS).map_err(writing)?;
     let mut noise = Noise::new(case.truth.seed, 11);
     let press = case.truth.press();

@@ -108,6 +108,11 @@ fn check_model(path: &Path) -> Result<String, Failure> {
 
 #[cfg(feature = "simulate")]
 fn check_plant(path: &Path, text: &str) -> Result<String, Failure> {
+    if seepd_sim::electric::ElectricAxis::is_kind(text) {
+        let axis = seepd_sim::electric::ElectricAxis::from_toml(text)
+            .map_err(|error| Failure::configuration(path, error))?;
+        return Ok(format!("electric axis of {} kg, cycle of {} s", axis.plant.mass_kg, axis.cycle.period_s));
+    }
     let spec =
         seepd_sim::MachineSpec::from_toml(text).map_err(|error| Failure::configuration(path, error))?;
     let effects: Vec<&str> = spec.effects.keys().map(String::as_str).collect();

@@ -2,14 +2,15 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::{Args, Subcommand};
 use seepd_gap::report::{Diagnosis, Verdict};
-use seepd_gap::{Log, Record, RecordError, Settings, cannot_tell, diagnose};
+use seepd_gap::{Axis, Log, Record, RecordError, Settings, cannot_tell, diagnose};
 use seepd_settings::unknown_key;
 use seepd_signals::Signal;
-use seepd_sim::MachineSpec;
+use seepd_sim::electric::ElectricAxis;
+use seepd_sim::{MachineSpec, PlantParameters, SpecError};
 
 use super::blind::BlindArguments;
 use super::simulate::read_plant;
@@ -91,23 +92,51 @@ const MOST_CYCLES: f64 = 48.0;
     reason = "how long a diagnosis took is part of it; nothing else depends on it"
 )]
 pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
-    let begin = std::time::Instant::now();
+    let begin = Instant::now();
     if let Some(Other::Blind(arguments)) = &arguments.blind {
         return super::blind::run(arguments);
     }
     let Some(path) = &arguments.log else {
         return Err(Failure::new(Code::Usage, "name the log to diagnose"));
     };
-    let spec = read_plant(arguments.plant.as_deref())?;
+    let electric = arguments.plant.as_deref().map(electric_axis).transpose()?.flatten();
+    match electric {
+        Some(axis) => run_on(arguments, path, &axis, None, begin),
+        None => {
+            let spec = read_plant(arguments.plant.as_deref())?;
+            run_on(arguments, path, &spec, Some(&spec.plant), begin)
+        }
+    }
+}
+
+/// The electric axis of a plant file, if it is one.
+fn electric_axis(path: &Path) -> Result<Option<ElectricAxis>, Failure> {
+    let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+    let axis = ElectricAxis::is_kind(&text).then(|| ElectricAxis::from_toml(&text)).transpose();
+    axis.map_err(|error| Failure::configuration(path, error))
+}
+
+/// Diagnoses a log against an axis; leaks are told as flows where there is a plant to say how they flow.
+#[expect(
+    clippy::disallowed_methods,
+    reason = "how long a diagnosis took is part of it; nothing else depends on it"
+)]
+fn run_on<A: PlantFile>(
+    arguments: &GapArguments,
+    path: &Path,
+    spec: &A,
+    plant: Option<&PlantParameters>,
+    begin: Instant,
+) -> Result<Outcome, Failure> {
     let mut config = arguments.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
     config.selection = Selection { topic: arguments.topic.clone(), command: None };
     config.dbc = arguments.dbc.clone().or(config.dbc);
-    let (log, notes) = read(path, &config, &spec)?;
+    let (log, notes) = read(path, &config, spec)?;
     let bar = progress_bar(seepd_gap::diagnosis::STEPS as u64, "diagnosing");
     bar.enable_steady_tick(Duration::from_millis(200));
     let settings = Settings { without: arguments.without.clone(), ..Settings::default() };
     let diagnosed = pool(arguments.threads)?
-        .install(|| answer(&log, &spec, &settings, &mut |done| bar.set_position(done as u64)));
+        .install(|| answer(&log, spec, &settings, &mut |done| bar.set_position(done as u64)));
     bar.finish_and_clear();
     let (mut diagnosis, machine) = diagnosed.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
     diagnosis.notes.extend(notes);
@@ -115,7 +144,7 @@ pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
     if let Some(path) = &arguments.emit_plant {
         fs::write(path, emitted(machine)?).map_err(|error| Failure::writing(path, error))?;
     }
-    write(arguments, path, &spec, &diagnosis)
+    write(arguments, path, plant, &diagnosis)
 }
 
 /// The pool of threads that a diagnosis runs in.
@@ -134,12 +163,12 @@ pub(super) fn pool(threads: Option<u16>) -> Result<rayon::ThreadPool, Failure> {
 ///
 /// # Errors
 /// [`RecordError`] for a log that holds too little.
-pub(super) fn answer(
+pub(super) fn answer<A: Axis>(
     log: &Log,
-    spec: &MachineSpec,
+    spec: &A,
     settings: &Settings,
     tell: &mut dyn FnMut(usize),
-) -> Result<(Diagnosis, MachineSpec), RecordError> {
+) -> Result<(Diagnosis, A), RecordError> {
     match Record::new(log, spec) {
         Ok(record) => Ok(diagnose(&record, spec, settings, tell)),
         Err(error @ (RecordError::Units { .. } | RecordError::Mismatch(_))) => {
@@ -149,24 +178,44 @@ pub(super) fn answer(
     }
 }
 
-/// The plant file of the machine as diagnosed, with no leak.
+/// An axis that can be written as a plant file.
+pub(super) trait PlantFile: Axis {
+    /// The file's text.
+    fn text(&self) -> Result<String, SpecError>;
+}
+
+impl PlantFile for MachineSpec {
+    fn text(&self) -> Result<String, SpecError> {
+        self.to_toml()
+    }
+}
+
+impl PlantFile for ElectricAxis {
+    fn text(&self) -> Result<String, SpecError> {
+        self.to_toml()
+    }
+}
+
+/// The plant file of the machine as diagnosed, as new: without what wear has done to it.
 ///
 /// # Errors
 /// [`Failure`] where it cannot be written as TOML.
-pub(super) fn emitted(mut machine: MachineSpec) -> Result<String, Failure> {
-    machine.plant.leak_area_m2 = 0.0;
-    machine.to_toml().map_err(|error| Failure::new(Code::Internal, error.to_string()))
+pub(super) fn emitted<A: PlantFile>(mut machine: A) -> Result<String, Failure> {
+    if let Some(wear) = machine.wear() {
+        machine.set_parameter(wear.key, wear.bounds.0);
+    }
+    machine.text().map_err(|error| Failure::new(Code::Internal, error.to_string()))
 }
 
 fn write(
     arguments: &GapArguments,
     log: &Path,
-    spec: &MachineSpec,
+    plant: Option<&PlantParameters>,
     diagnosis: &Diagnosis,
 ) -> Result<Outcome, Failure> {
     if let Some(path) = &arguments.html {
         let log = log.display().to_string();
-        let page = GapPage { log: &log, headline: &headline(diagnosis), diagnosis, spec };
+        let page = GapPage { log: &log, headline: &headline(diagnosis), diagnosis, plant };
         fs::write(path, page.render()).map_err(|error| Failure::writing(path, error))?;
     }
     if let Some(path) = &arguments.json {
@@ -180,7 +229,7 @@ fn write(
         }
         fs::write(path, text).map_err(|error| Failure::writing(path, error))?;
     }
-    print(report(spec, diagnosis).as_bytes())?;
+    print(report(plant, diagnosis).as_bytes())?;
     Ok(Outcome::Good)
 }
 
@@ -188,11 +237,11 @@ fn write(
 ///
 /// # Errors
 /// [`Failure`] where it cannot be read.
-pub(super) fn read(path: &Path, config: &Config, spec: &MachineSpec) -> Result<(Log, Vec<String>), Failure> {
+pub(super) fn read<A: Axis>(path: &Path, config: &Config, spec: &A) -> Result<(Log, Vec<String>), Failure> {
     let mut notes = Vec::new();
     let mut source = source::open(path, config)?;
-    let period_ns = spec.controller.period_s * 1e9;
-    let most = (MOST_CYCLES * spec.cycle.period_s / spec.controller.period_s) as usize;
+    let period_ns = spec.tick_s() * 1e9;
+    let most = (MOST_CYCLES * spec.duty_cycle().period_s / spec.tick_s()) as usize;
     let mut log = Log::default();
     let mut first_ns = None;
     while let Some(sample) = source.next_sample()? {
@@ -225,7 +274,7 @@ pub(super) fn read(path: &Path, config: &Config, spec: &MachineSpec) -> Result<(
 }
 
 /// The terminal's report.
-fn report(spec: &MachineSpec, diagnosis: &Diagnosis) -> String {
+fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
     let percent = |value: f64| format!("{:.1} %", 100.0 * value);
     let mut text = format!("{}\n\n", headline(diagnosis));
     if diagnosis.cycles.used == 0 {
@@ -253,6 +302,15 @@ fn report(spec: &MachineSpec, diagnosis: &Diagnosis) -> String {
         percent(diagnosis.shrink.retune_only),
         percent(diagnosis.shrink.of_removable)
     );
+    if diagnosis.shrink.by_effect.len() > 1 {
+        let parts: Vec<String> = diagnosis
+            .shrink
+            .by_effect
+            .iter()
+            .map(|(effect, part)| format!("{effect} {}", percent(*part)))
+            .collect();
+        text += &format!("of that beyond retuning: {}\n", parts.join(", "));
+    }
     text += "\nwhere, after retuning:\n";
     for place in diagnosis.places.iter().take(4) {
         text += &format!(
@@ -288,14 +346,16 @@ fn report(spec: &MachineSpec, diagnosis: &Diagnosis) -> String {
         let ends = value.interval95.map(|end| end / value.nominal);
         text += &format!("  {symbol:<10} {ratio:>6.3}  ({:.3} … {:.3})\n", ends[0], ends[1]);
     }
-    let lpm = |area: f64| spec.plant.orifice_flow_m3_per_s(area, 7e6) * LPM_PER_M3_PER_S;
-    let leak = &diagnosis.leak;
-    text += &format!(
-        "\nleak at 7 MPa: {:.3} L/min by the plant file, {:.3} retuned, {:.3} as chosen\n",
-        lpm(leak.nominal_m2),
-        lpm(leak.retuned_m2),
-        lpm(leak.chosen_m2)
-    );
+    if let Some(plant) = plant {
+        let lpm = |area: f64| plant.orifice_flow_m3_per_s(area, 7e6) * LPM_PER_M3_PER_S;
+        let leak = &diagnosis.leak;
+        text += &format!(
+            "\nleak at 7 MPa: {:.3} L/min by the plant file, {:.3} retuned, {:.3} as chosen\n",
+            lpm(leak.nominal_m2),
+            lpm(leak.retuned_m2),
+            lpm(leak.chosen_m2)
+        );
+    }
     for line in diagnosis.distinguish.iter().chain(&diagnosis.notes) {
         text += &format!("{line}\n");
     }

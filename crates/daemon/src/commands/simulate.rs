@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use mcap::McapError;
 use seepd_sim::cycle::Turn;
+use seepd_sim::electric::ElectricAxis;
 use seepd_sim::noise::Noise;
 use seepd_sim::{Input, Machine, MachineSpec, Record, Schedule};
 use serde::Serialize;
@@ -133,6 +134,10 @@ pub fn run(arguments: &SimulateArguments) -> Result<Outcome, Failure> {
 pub fn read_plant(path: Option<&Path>) -> Result<MachineSpec, Failure> {
     let Some(path) = path else { return Ok(MachineSpec::default()) };
     let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+    if ElectricAxis::is_kind(&text) {
+        let what = "an electric axis; only `gap` works with one";
+        return Err(Failure::configuration(path, what));
+    }
     MachineSpec::from_toml(&text).map_err(|error| Failure::configuration(path, error))
 }
 

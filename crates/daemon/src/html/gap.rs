@@ -5,8 +5,7 @@ use std::collections::BTreeMap;
 use maud::{Markup, html};
 use seepd_gap::Diagnosis;
 use seepd_gap::report::EffectFinding;
-use seepd_sim::MachineSpec;
-use seepd_sim::effects;
+use seepd_sim::PlantParameters;
 
 use super::chart::{Axis, Chart, Layer};
 use super::page;
@@ -20,8 +19,8 @@ pub struct GapPage<'a> {
     pub headline: &'a str,
     /// The diagnosis.
     pub diagnosis: &'a Diagnosis,
-    /// The plant file's machine.
-    pub spec: &'a MachineSpec,
+    /// The press of the plant file, for leaks as flows; `None` for an axis without a leak.
+    pub plant: Option<&'a PlantParameters>,
 }
 
 /// Pressure difference at which leaks are given as flows, Pa.
@@ -52,8 +51,10 @@ impl GapPage<'_> {
                 @for index in 0..found.signals.len() { (self.overlay(index)) }
                 h2 { "The plant's own parameters, retuned" }
                 (self.retuned())
-                h2 { "What becomes of the leak estimate" }
-                (self.leak())
+                @if let Some(plant) = self.plant {
+                    h2 { "What becomes of the leak estimate" }
+                    (self.leak(plant))
+                }
             }
             @if !found.distinguish.is_empty() {
                 h2 { "What this log cannot tell" }
@@ -85,6 +86,12 @@ impl GapPage<'_> {
         html! {
             p { "Retuning alone removes " (percent(shrink.retune_only)) " of what can be removed, the chosen machine " (percent(shrink.of_removable))
                 " (" (percent(shrink.of_total)) " of the whole)." }
+            @if shrink.by_effect.len() > 1 { table.bars { tbody {
+                tr { td { "retuning" } td.number { (percent(shrink.retune_only)) } td.grow { (bar(shrink.retune_only, "var(--watch)")) } }
+                @for (effect, part) in &shrink.by_effect { tr {
+                    td { (effect) } td.number { (percent(*part)) } td.grow { (bar(*part, "var(--healthy)")) }
+                } }
+            } } }
             table.bars { tbody { @for signal in &self.diagnosis.signals {
                 @for (place, (name, value, colour)) in rows(signal).into_iter().enumerate() { tr {
                     td { @if place == 0 { (signal) } }
@@ -104,7 +111,7 @@ impl GapPage<'_> {
             tbody {
                 @for finding in found.effects.iter().filter(named) { tr {
                     td { (finding.effect)
-                        @if let Some(effect) = effects::find(finding.effect) { br; span.soft { (effect.about().law) } }
+                        br; span.soft { (finding.law) }
                         @if !finding.equivalent.is_empty() { br; span.soft { "looks the same in this log: " (finding.equivalent.join(", ")) } } }
                     td.number { (percent(finding.probability)) }
                     td.narrow { (bar(finding.probability, "var(--a)")) }
@@ -190,8 +197,8 @@ impl GapPage<'_> {
         } } p.soft { "Wide intervals are parameters that this log does not tell; with the relief valve always open Q_pump, p_prv and R_prv are one number." } }
     }
 
-    fn leak(&self) -> Markup {
-        let lpm = |area: f64| self.spec.plant.orifice_flow_m3_per_s(area, REFERENCE_DP_PA) * LPM_PER_M3_PER_S;
+    fn leak(&self, plant: &PlantParameters) -> Markup {
+        let lpm = |area: f64| plant.orifice_flow_m3_per_s(area, REFERENCE_DP_PA) * LPM_PER_M3_PER_S;
         let leak = &self.diagnosis.leak;
         let rows =
             [("plant file", leak.nominal_m2), ("retuned", leak.retuned_m2), ("chosen", leak.chosen_m2)];

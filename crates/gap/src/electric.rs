@@ -1,0 +1,139 @@
+//! The electric positioning axis as an axis whose gap is diagnosed.
+
+use rayon::prelude::*;
+use seepd_signals::Signal;
+use seepd_sim::DutyCycle;
+use seepd_sim::cycle::Instant;
+use seepd_sim::effects::{About, Parameter};
+use seepd_sim::electric::{CATALOGUE, ElectricAxis};
+
+use crate::axis::{Axis, Imbalances, Scale, Tunable, Values};
+use crate::record::{BINS, Cycle, bin_of};
+use crate::simulate::View;
+
+/// The drive's force for which the catalogue states its ranges, N.
+const REFERENCE_FORCE_N: f64 = 1e3;
+
+impl Axis for ElectricAxis {
+    fn catalogue() -> Vec<&'static About> {
+        CATALOGUE.iter().collect()
+    }
+
+    fn signals() -> &'static [Signal] {
+        &[Signal::Command, Signal::Position]
+    }
+
+    fn tunables(&self) -> Vec<Tunable> {
+        let by_factor = |key, symbol| {
+            let nominal = self.parameter(key);
+            (nominal > 0.0).then_some(Tunable {
+                key,
+                symbol,
+                bounds: (nominal / 4.0, nominal * 4.0),
+                scale: Scale::Logarithmic,
+                sigma: Some(std::f64::consts::LN_2),
+            })
+        };
+        [by_factor("mass_kg", "M"), by_factor("viscous_friction_n_s_per_m", "F_v")].into_iter().flatten().collect()
+    }
+
+    fn wear(&self) -> Option<Tunable> {
+        None
+    }
+
+    fn parameter(&self, key: &str) -> f64 {
+        match key {
+            "mass_kg" => self.plant.mass_kg,
+            "viscous_friction_n_s_per_m" => self.plant.viscous_friction_n_s_per_m,
+            _ => f64::NAN,
+        }
+    }
+
+    fn set_parameter(&mut self, key: &str, value: f64) {
+        match key {
+            "mass_kg" => self.plant.mass_kg = value,
+            "viscous_friction_n_s_per_m" => self.plant.viscous_friction_n_s_per_m = value,
+            _ => {}
+        }
+    }
+
+    fn effects(&self) -> &Values {
+        &self.effects
+    }
+
+    fn effects_mut(&mut self) -> &mut Values {
+        &mut self.effects
+    }
+
+    /// Forces are in proportion to the drive's.
+    fn range(&self, _effect: &About, parameter: &Parameter) -> (f64, f64) {
+        let (low, high) = parameter.range;
+        let scale = if parameter.unit.starts_with('N') { self.plant.full_force_n / REFERENCE_FORCE_N } else { 1.0 };
+        (low * scale, high * scale)
+    }
+
+    fn acts(&self, _effect: &About, _parameter: &Parameter) -> bool {
+        true
+    }
+
+    fn duty_cycle(&self) -> &DutyCycle {
+        &self.cycle
+    }
+
+    fn tick_s(&self) -> f64 {
+        self.controller.period_s
+    }
+
+    fn stroke_m(&self) -> f64 {
+        self.plant.stroke_m
+    }
+
+    fn run(machines: &[Self], drive: &[Instant], warm_up: usize, signals: &[Signal]) -> Vec<View> {
+        let ticks = drive.len() - warm_up;
+        let view = |machine: &Self| -> View {
+            let mut sums = vec![vec![0.0; BINS]; signals.len()];
+            let mut counts = vec![0u32; BINS];
+            machine.follow(drive, |tick, record| {
+                let Some(tick) = tick.checked_sub(warm_up) else { return };
+                let bin = bin_of(tick, ticks);
+                counts[bin] += 1;
+                for (signal, sums) in signals.iter().zip(&mut sums) {
+                    sums[bin] += match signal {
+                        Signal::Command => record.command,
+                        _ => record.position_m,
+                    };
+                }
+            });
+            let mean = |sums: Vec<f64>| {
+                sums.into_iter().zip(&counts).map(|(sum, count)| sum / f64::from((*count).max(1))).collect()
+            };
+            sums.into_iter().map(mean).collect()
+        };
+        machines.par_iter().map(view).collect()
+    }
+
+    /// The balance of forces, over the drive's full force.
+    fn imbalances(&self, signals: &[Signal], view: &View) -> Imbalances {
+        let bins = |signal: Signal| signals.iter().position(|other| *other == signal).map(|index| &view[index]);
+        let (Some(u), Some(x)) = (bins(Signal::Command), bins(Signal::Position)) else { return Vec::new() };
+        let dt = self.cycle.period_s / BINS as f64;
+        let force = (0..BINS).map(|bin| {
+            let (next, before) = (x[(bin + 1) % BINS], x[(bin + BINS - 1) % BINS]);
+            let (v, a) = ((next - before) / (2.0 * dt), (next - 2.0 * x[bin] + before) / (dt * dt));
+            u[bin] - (self.plant.mass_kg * a + self.plant.viscous_friction_n_s_per_m * v) / self.plant.full_force_n
+        });
+        vec![("force", force.collect())]
+    }
+
+    /// Force and acceleration have the same sign.
+    fn contradiction(&self, signals: &[Signal], cycle: &Cycle) -> Option<String> {
+        let imbalance = |sign: f64| -> f64 {
+            let mut turned = cycle.bins.clone();
+            turned.iter_mut().take(1).flatten().for_each(|u| *u *= sign);
+            let balances = self.imbalances(signals, &turned);
+            balances.iter().flat_map(|(_, force)| force).map(|value| value * value).sum()
+        };
+        (imbalance(-1.0) < 0.25 * imbalance(1.0))
+            .then(|| "the command's sign is inverted: mass and friction balance with the other one; set scale = -1 in the mapping".to_owned())
+    }
+}
