@@ -146,7 +146,7 @@ pub struct Problem<'r> {
 }
 
 /// Difference of drives from cycle to cycle, share of their range, up to which one stands for all.
-const SAME_DRIVE: f64 = 0.01;
+const SAME_DRIVE: f64 = 0.08;
 /// Drives where cycles differ.
 const DRIVES: usize = 2;
 /// How many times larger errors are allowed while a fit is still far off: strong directions are found first, and weak ones are held by
@@ -382,26 +382,30 @@ impl<A: Axis> Fit<A> {
             }
         }
         let mut matrix = normal_matrix(&self.free, &self.jacobian, weight);
-        // What would leave its bounds stands still.
-        for (index, parameter) in self.free.iter().enumerate() {
-            let outward = (self.at[index] <= parameter.low && gradient[index] > 0.0)
-                || (self.at[index] >= parameter.high && gradient[index] < 0.0);
-            if outward {
-                gradient[index] = 0.0;
-                matrix.row_mut(index).fill(0.0);
-                matrix.column_mut(index).fill(0.0);
-                matrix[(index, index)] = 1.0;
-            }
-        }
         for index in 0..self.free.len() {
             matrix[(index, index)] *= 1.0 + damping;
         }
-        let change = matrix.cholesky()?.solve(&gradient);
-        let mut there = &self.at - change;
-        for (value, parameter) in there.iter_mut().zip(&self.free) {
-            *value = value.clamp(parameter.low, parameter.high);
+        // What would leave its bounds goes to the bound, and the others are solved for once more.
+        let mut held: Vec<Option<f64>> = vec![None; self.free.len()];
+        for _ in 0..self.free.len() {
+            let change = solved(&matrix, &gradient, &held)?;
+            let mut beyond = false;
+            for (index, parameter) in self.free.iter().enumerate() {
+                let there = self.at[index] + change[index];
+                if held[index].is_none() && !(parameter.low..=parameter.high).contains(&there) {
+                    held[index] = Some(there.clamp(parameter.low, parameter.high) - self.at[index]);
+                    beyond = true;
+                }
+            }
+            if !beyond {
+                let mut there = &self.at + change;
+                for (value, parameter) in there.iter_mut().zip(&self.free) {
+                    *value = value.clamp(parameter.low, parameter.high);
+                }
+                return Some(there);
+            }
         }
-        Some(there)
+        None
     }
 
     /// Value of each parameter with its 95 % interval, from the covariance of differences and priors.
@@ -417,6 +421,24 @@ impl<A: Axis> Fit<A> {
         };
         self.free.iter().enumerate().map(estimate).collect()
     }
+}
+
+/// The change that solves the normal equations while some parameters change by a given amount.
+fn solved(matrix: &DMatrix<f64>, gradient: &DVector<f64>, held: &[Option<f64>]) -> Option<DVector<f64>> {
+    let (mut matrix, mut right) = (matrix.clone(), -gradient);
+    for (index, change) in held.iter().enumerate() {
+        let Some(change) = change else { continue };
+        right -= matrix.column(index) * *change;
+        matrix.row_mut(index).fill(0.0);
+        matrix.column_mut(index).fill(0.0);
+        matrix[(index, index)] = 1.0;
+    }
+    for (index, change) in held.iter().enumerate() {
+        if let Some(change) = change {
+            right[index] = *change;
+        }
+    }
+    Some(matrix.cholesky()?.solve(&right))
 }
 
 /// A machine's coordinates.

@@ -124,9 +124,11 @@ impl Axis for MachineSpec {
         machines
             .par_chunks(LANES)
             .flat_map_iter(|machines| {
+                // Retuning may make a plant stiffer than its file's.
+                let machines: Vec<MachineSpec> = machines.iter().map(MachineSpec::with_stable_steps).collect();
                 let mut sums = vec![vec![[0.0; LANES]; BINS]; signals.len()];
                 let mut counts = vec![0u32; BINS];
-                follow(machines, drive, |tick, record| {
+                follow(&machines, drive, |tick, record| {
                     let Some(tick) = tick.checked_sub(warm_up) else { return };
                     let bin = bin_of(tick, ticks);
                     counts[bin] += 1;

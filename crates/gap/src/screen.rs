@@ -22,8 +22,13 @@ pub struct Candidate {
 /// Levels of a parameter that are tried, shares of its range: for one with its neutral value at the low end, and for one with it inside.
 const ONE_SIDED: [f64; 3] = [0.06, 0.25, 0.7];
 const TWO_SIDED: [f64; 4] = [0.12, 0.38, 0.62, 0.88];
-/// Levels of parameters that are places or times.
-const PLACES: [f64; 6] = [0.05, 0.2, 0.35, 0.5, 0.65, 0.8];
+/// Levels of a parameter beside the first.
+const BESIDE: [f64; 2] = [0.15, 0.6];
+/// Levels of a size beside places, times or waves, which are tried at many: how much of it follows from the projection.
+const ONE_SIZE: [f64; 1] = [0.2];
+/// How many starts, and how many waves.
+const STARTS: usize = 16;
+const WAVES: usize = 64;
 
 /// Screens the catalogue, but for some effects, on the retuned machine; the most promising first.
 pub fn screen<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, without: &[String]) -> Vec<Candidate> {
@@ -42,8 +47,8 @@ pub fn screen<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, without: &[Strin
     for ((effect, values), residual) in tried.into_iter().zip(problem.residuals(&machines)) {
         let signature = beyond.project(&(residual - &retuned.residual));
         let square = signature.norm_squared().max(1e-12);
-        // How much of it, between a fifth and half as much again.
-        let amount = (-signature.dot(&base) / square).clamp(0.2, 1.5);
+        // How much of it, within what is still somewhat linear.
+        let amount = (-signature.dot(&base) / square).clamp(0.2, 2.5);
         let gain = base.norm_squared() - (&base + &signature * amount).norm_squared();
         let candidate = Candidate { effect, values, gain, visible: square.sqrt() };
         match best.iter_mut().find(|other| other.effect.key == effect.key) {
@@ -72,17 +77,24 @@ fn levels<A: Axis>(effect: &About, spec: &A) -> Vec<Vec<f64>> {
     for (index, parameter) in effect.parameters.iter().enumerate() {
         let (low, high) = spec.range(effect, parameter);
         let inside = low < parameter.neutral && parameter.neutral < high;
-        let shares: &[f64] = match parameter.name {
-            "start_s" => &PLACES,
-            "duration_s" => &[0.05, 0.15],
-            _ if inside => &TWO_SIDED,
-            _ if index == 0 => &ONE_SIDED,
-            _ => &[0.15, 0.6],
+        let many = effect.parameters.iter().any(|parameter| matches!(parameter.name, "start_s" | "pitch_m"));
+        let shares: Vec<f64> = match parameter.name {
+            "start_s" => (0..STARTS).map(|start| (start as f64 + 0.3) / STARTS as f64).collect(),
+            "duration_s" => vec![0.05, 0.12],
+            // Waves over the stroke count, not their length.
+            "pitch_m" => (0..WAVES)
+                .map(|wave| 1.0 / high + (wave as f64 + 0.5) / WAVES as f64 * (1.0 / low - 1.0 / high))
+                .map(|waves_per_m| (1.0 / waves_per_m - low) / (high - low))
+                .collect(),
+            _ if many => ONE_SIZE.to_vec(),
+            _ if inside => TWO_SIDED.to_vec(),
+            _ if index == 0 => ONE_SIDED.to_vec(),
+            _ => BESIDE.to_vec(),
         };
         combinations = combinations
             .iter()
             .flat_map(|values| {
-                shares.iter().map(move |share| {
+                shares.iter().map(|share| {
                     let mut values = values.clone();
                     values.push(low + share * (high - low));
                     values

@@ -45,8 +45,8 @@ const TWICE: usize = 3;
 /// Share of the cost below which retuning anew is worth another round of fits.
 const WORTH_ANOTHER_ROUND: f64 = 0.9;
 /// Machines with one effect that are given a second, and effects that are tried as the next one.
-const BEAM: usize = 3;
-const NEXT: usize = 4;
+const BEAM: usize = 2;
+const NEXT: usize = 3;
 /// Most effects of a machine.
 const MOST_EFFECTS: usize = 3;
 /// Mean square over expected error of a signal up to which nothing is left to explain.
@@ -71,10 +71,19 @@ pub fn search<A: Axis>(
         found.candidates = screen(problem, &found.retuned, &settings.without);
         found.explanations = single_effects(problem, untouched, &found.retuned, &found.candidates, far, settings);
     }
-    if something_left(problem, &found.retuned) {
+    polish(problem, &mut found.explanations, settings);
+    if found.explanations.iter().all(|one| something_left(problem, &one.fit)) {
         add_effects(problem, &mut found.explanations, settings);
     }
     found
+}
+
+/// Takes the best fits further, with new derivatives: a fit that has not converged loses to one that has.
+fn polish<A: Axis>(problem: &Problem<'_>, explanations: &mut [Explanation<A>], settings: &Settings) {
+    explanations.par_iter_mut().take(TWICE).for_each(|one| {
+        one.fit = one.fit.clone().renewed(problem).fitted(problem, settings.iterations).renewed(problem);
+    });
+    explanations.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
 }
 
 fn something_left<A>(problem: &Problem<'_>, fit: &Fit<A>) -> bool {

@@ -138,8 +138,7 @@ impl PlantParameters {
     /// The fastest eigenvalue at standstill, 1/s: of the linearised plant with no flow and the piston at
     /// either end, where the line's small volume meets the square-root law's steepest slope.
     pub fn fastest_eigenvalue_per_s(&self) -> f64 {
-        let plant = Plant::<f64>::new(&[self]);
-        [0.0, self.stroke_m].map(|x| plant.standstill_eigenvalue_per_s(x)).into_iter().fold(0.0, f64::max)
+        Plant::<f64>::new(&[self]).fastest_eigenvalue_per_s()
     }
 }
 
@@ -441,6 +440,11 @@ impl<T: Real> Plant<T> {
 }
 
 impl Plant<f64> {
+    /// See [`PlantParameters::fastest_eigenvalue_per_s`].
+    pub(crate) fn fastest_eigenvalue_per_s(&self) -> f64 {
+        [0.0, self.stroke].map(|x| self.standstill_eigenvalue_per_s(x)).into_iter().fold(0.0, f64::max)
+    }
+
     /// Magnitude of the fastest eigenvalue of the plant linearised at standstill with the valve closed and
     /// no flow (every pressure the return's), 1/s.
     fn standstill_eigenvalue_per_s(&self, x: f64) -> f64 {

@@ -5,10 +5,14 @@ use std::collections::BTreeMap;
 use seepd_settings::{FormatError, parse_toml, unknown_key};
 use serde::{Deserialize, Serialize};
 
-use crate::controller::Controller;
+use crate::controller::{Controller, Pid};
 use crate::cycle::DutyCycle;
-use crate::effects::{self, Effect};
-use crate::plant::{PlantParameters, RK4_STABILITY_LIMIT};
+use crate::effects::{self, Constants, Effect};
+use crate::plant::{Plant, PlantParameters, RK4_STABILITY_LIMIT};
+use crate::real::Real;
+
+/// Most steps in a period that are taken unasked.
+const MOST_STEPS: usize = 100;
 
 /// A machine: the content of `plant.toml`. Every table and key has a default, the nominal plant's.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -121,6 +125,32 @@ impl MachineSpec {
     pub fn bounds_of(&self, key: &str) -> Option<(f64, f64)> {
         let symbol = PlantParameters::ALL.iter().find(|info| info.key == key)?.symbol;
         self.bounds.get(key).or_else(|| self.bounds.get(symbol)).map(|[low, high]| (*low, *high))
+    }
+
+    fn steps_for(&self, eigenvalue_per_s: f64) -> usize {
+        (eigenvalue_per_s * self.controller.period_s / RK4_STABILITY_LIMIT).ceil() as usize
+    }
+
+    /// Steps in a controller period with which plant and effects are stable: the file's, or more where effects make the plant stiffer.
+    pub fn stable_steps(&self) -> usize {
+        let mut plant = Plant::<f64>::new(&[&self.plant]);
+        let mut pid = Pid::new(&[&self.controller]);
+        let mut dt = self.controller.period_s;
+        for effect in effects::ALL {
+            if let Some(law) = f64::law(*effect, &self.effect_values(*effect)) {
+                law.adjust(&mut Constants { plant: &mut plant, pid: &mut pid, dt: &mut dt });
+            }
+        }
+        let needed = self.steps_for(plant.fastest_eigenvalue_per_s());
+        // What went out of bounds stays there whatever the step.
+        self.controller.steps_per_period.max(needed.min(MOST_STEPS))
+    }
+
+    /// The machine with as many steps as it needs.
+    pub fn with_stable_steps(&self) -> Self {
+        let mut spec = self.clone();
+        spec.controller.steps_per_period = self.stable_steps();
+        spec
     }
 
     /// Sets an effect's parameter given as `effect.parameter=value`, as on the command line.
@@ -259,7 +289,7 @@ impl MachineSpec {
         if product <= RK4_STABILITY_LIMIT {
             return Ok(());
         }
-        let needed = (eigenvalue_per_s * self.controller.period_s / RK4_STABILITY_LIMIT).ceil() as usize;
+        let needed = self.steps_for(eigenvalue_per_s);
         Err(SpecError::UnstableStep { eigenvalue_per_s, steps, product, needed })
     }
 }

@@ -186,7 +186,7 @@ pub(super) trait PlantFile: Axis {
 
 impl PlantFile for MachineSpec {
     fn text(&self) -> Result<String, SpecError> {
-        self.to_toml()
+        self.with_stable_steps().to_toml()
     }
 }
 
