@@ -1,6 +1,6 @@
-//! Samples from a CSV text with a header row and a time column in seconds.
+//! Samples from a CSV text with a header row and a time column in seconds; commas, semicolons or tabs divide.
 
-use std::io::Read;
+use std::io::{BufRead, BufReader, Read};
 
 use csv::{ByteRecord, Reader, ReaderBuilder};
 use seepd_signals::{Sample, Signal};
@@ -8,6 +8,19 @@ use seepd_signals::{Sample, Signal};
 use super::Source;
 use crate::config::SignalMapping;
 use crate::failure::Failure;
+
+/// A reader of rows, divided by what divides the first line most.
+///
+/// # Errors
+/// [`Failure`] where nothing can be read.
+pub fn csv_reader<R: Read>(input: R, name: &str) -> Result<Reader<BufReader<R>>, Failure> {
+    let mut input = BufReader::new(input);
+    let begin = input.fill_buf().map_err(|error| Failure::data(format!("{name}: {error}")))?;
+    let header = begin.split(|byte| *byte == b'\n').next().unwrap_or_default();
+    let count = |divider: u8| header.iter().filter(|byte| **byte == divider).count();
+    let delimiter = [b'\t', b';'].into_iter().fold(b',', |best, other| if count(other) > count(best) { other } else { best });
+    Ok(ReaderBuilder::new().flexible(true).trim(csv::Trim::All).delimiter(delimiter).from_reader(input))
+}
 
 /// A signal's column.
 struct Column {
@@ -20,7 +33,7 @@ struct Column {
 /// See the [module](self).
 pub struct CsvSource<R> {
     name: String,
-    reader: Reader<R>,
+    reader: Reader<BufReader<R>>,
     record: ByteRecord,
     time_index: usize,
     columns: Vec<Column>,
@@ -39,24 +52,30 @@ impl<R: Read> CsvSource<R> {
         mapping: Vec<(Signal, SignalMapping)>,
         time_column: &str,
     ) -> Result<Self, Failure> {
-        let mut reader = ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(input);
+        let mut reader = csv_reader(input, name)?;
         let headers = reader.headers().map_err(|error| Failure::data(format!("{name}: {error}")))?.clone();
         let find = |wanted: &str| headers.iter().position(|header| header == wanted);
         let listed = || headers.iter().collect::<Vec<_>>().join(", ");
-        let missing = |what: &str, column: &str| {
-            Failure::data(format!("{name}: no column `{column}` for the {what}; there are: {}", listed()))
-        };
-        let time_index = find(time_column).ok_or_else(|| missing("time", time_column))?;
         let columns: Vec<Column> = mapping
             .iter()
             .filter_map(|(signal, m)| {
                 Some(Column { index: find(&m.field)?, signal: *signal, scale: m.scale, offset: m.offset })
             })
             .collect();
-        if !columns.iter().any(|column| column.signal == Signal::Command) {
-            let field = mapping.iter().find(|(signal, _)| *signal == Signal::Command);
-            return Err(missing("command", field.map_or("command", |(_, m)| &m.field)));
+        let command = mapping.iter().find(|(signal, _)| *signal == Signal::Command);
+        let command = command.map_or("command", |(_, mapping)| &mapping.field);
+        let time_index = find(time_column);
+        let mut missing = Vec::new();
+        if time_index.is_none() {
+            missing.push(format!("`{time_column}` for the time"));
         }
+        if !columns.iter().any(|column| column.signal == Signal::Command) {
+            missing.push(format!("`{command}` for the command"));
+        }
+        let (Some(time_index), true) = (time_index, missing.is_empty()) else {
+            let what = missing.join(" and no column ");
+            return Err(Failure::data(format!("{name}: no column {what}; there are: {}", listed())));
+        };
         Ok(CsvSource {
             name: name.into(),
             reader,

@@ -172,7 +172,7 @@ fn survey_csv(
     time_column: &str,
 ) -> Result<(TopicSurvey, Vec<String>), Failure> {
     let data = |error: csv::Error| Failure::data(format!("{name}: {error}"));
-    let mut reader = csv::ReaderBuilder::new().flexible(true).trim(csv::Trim::All).from_reader(input);
+    let mut reader = super::csv::csv_reader(input, name)?;
     let headers = reader.headers().map_err(data)?.clone();
     let mut topic = TopicSurvey { topic: "rows".into(), encoding: "csv".into(), ..TopicSurvey::default() };
     let mut row = csv::StringRecord::new();
