@@ -125,13 +125,19 @@ impl Free {
         }
     }
 
-    /// Step of the derivative, towards the inside of the bounds.
-    fn step(&self, coordinate: f64) -> f64 {
+    /// Step of the derivative, towards the inside of the bounds. An event's times take longer steps while errors are relaxed: its edges
+    /// show only where they are.
+    fn step(&self, coordinate: f64, relaxed: f64) -> f64 {
+        let reach = if self.is_time() { relaxed } else { 1.0 };
         let step = match self.scale {
             Scale::Logarithmic => 2e-3,
-            Scale::Linear(_) => 2e-3 * (self.high - self.low).min(5.0),
+            Scale::Linear(_) => reach * 2e-3 * (self.high - self.low).min(5.0),
         };
         if coordinate + step > self.high { -step } else { step }
+    }
+
+    fn is_time(&self) -> bool {
+        matches!(self.target, Target::Effect(effect, index) if effect.is_time(index))
     }
 }
 
@@ -143,6 +149,8 @@ pub struct Problem<'r> {
     shown: Vec<View>,
     /// One over the expected error of each signal, with the square root of the share that a bin counts.
     weights: Vec<f64>,
+    /// Mean square over expected error that is left of each signal when only what differs from cycle to cycle is left.
+    pub noise: Vec<f64>,
 }
 
 /// Difference of drives from cycle to cycle, share of their range, up to which one stands for all.
@@ -169,14 +177,17 @@ impl<'r> Problem<'r> {
         };
         let averaged = if drives.len() == 1 { cycles.len() as f64 } else { 1.0 };
         let bins = (BINS * drives.len()) as f64;
-        let weights = (0..record.signals.len())
-            .map(|signal| {
-                let floor = record.floor[signal] / averaged.sqrt();
-                let expected = (floor * floor + MODEL_ERROR * MODEL_ERROR).sqrt() * record.range[signal];
-                (INDEPENDENT / bins).sqrt() / expected
+        let (weights, noise) = record
+            .floor
+            .iter()
+            .zip(&record.range)
+            .map(|(floor, range)| {
+                let noise = floor * floor / averaged;
+                let expected = noise + MODEL_ERROR * MODEL_ERROR;
+                ((INDEPENDENT / bins / expected).sqrt() / range, noise / expected)
             })
-            .collect();
-        Problem { record, drives, shown, weights }
+            .unzip();
+        Problem { record, drives, shown, weights, noise }
     }
 
     /// Weighted differences of simulation and record, one row a machine: by drive, signal, bin.
@@ -286,21 +297,24 @@ impl<A: Axis> Fit<A> {
         let at = coordinates(spec, &free);
         let columns: Vec<usize> = (known.ncols()..free.len()).collect();
         let mut machines = vec![spec.clone()];
-        machines.extend(moved(spec, &free, &at, &columns));
+        machines.extend(moved(spec, &free, &at, &columns, 1.0));
         let mut shown = problem.residuals(&machines).into_iter();
         let residual = shown.next().unwrap_or_default();
         let mut jacobian = known.resize(residual.len(), free.len(), 0.0);
-        set_slopes(&free, &at, &residual, &columns, shown, &mut jacobian);
+        set_slopes(&free, &at, &residual, (&columns, 1.0), shown, &mut jacobian);
         let cost = residual.norm_squared() + prior_cost(&free, &at);
         Fit { spec: spec.clone(), free, at, residual, jacobian, cost, age }
     }
 
     /// Fits from a machine that may be far off: with errors that shrink step by step.
-    pub fn from_afar(self, problem: &Problem<'_>, iterations: usize) -> Self {
-        let near = RELAXED
-            .iter()
-            .fold(self, |fit, times| fit.descended(problem, times.powi(2).recip(), RELAXED_ITERATIONS));
-        near.fitted(problem, iterations)
+    pub fn from_afar(mut self, problem: &Problem<'_>, iterations: usize) -> Self {
+        for times in RELAXED {
+            if self.free.iter().any(Free::is_time) {
+                self = self.with_slopes(problem, times);
+            }
+            self = self.descended(problem, times, RELAXED_ITERATIONS);
+        }
+        self.fitted(problem, iterations)
     }
 
     /// Fits from where the machine is.
@@ -309,19 +323,23 @@ impl<A: Axis> Fit<A> {
     }
 
     /// The same with derivatives simulated where it is.
-    pub fn renewed(mut self, problem: &Problem<'_>) -> Self {
-        if self.age > 0 {
-            let columns: Vec<usize> = (0..self.free.len()).collect();
-            let shown = problem.residuals(&moved(&self.spec, &self.free, &self.at, &columns)).into_iter();
-            set_slopes(&self.free, &self.at, &self.residual, &columns, shown, &mut self.jacobian);
-            self.age = 0;
-        }
+    pub fn renewed(self, problem: &Problem<'_>) -> Self {
+        if self.age > 0 { self.with_slopes(problem, 1.0) } else { self }
+    }
+
+    fn with_slopes(mut self, problem: &Problem<'_>, relaxed: f64) -> Self {
+        let columns: Vec<usize> = (0..self.free.len()).collect();
+        let machines = moved(&self.spec, &self.free, &self.at, &columns, relaxed);
+        let shown = problem.residuals(&machines).into_iter();
+        set_slopes(&self.free, &self.at, &self.residual, (&columns, relaxed), shown, &mut self.jacobian);
+        self.age = 0;
         self
     }
 
-    /// Goes down the cost in which the squared differences count by `weight`. Derivatives are carried from step to step (Broyden,
+    /// Goes down the cost with errors that are `relaxed` times larger. Derivatives are carried from step to step (Broyden,
     /// Mathematics of Computation 19 (1965)) and simulated anew when they are old or lead nowhere.
-    fn descended(mut self, problem: &Problem<'_>, weight: f64, iterations: usize) -> Self {
+    fn descended(mut self, problem: &Problem<'_>, relaxed: f64, iterations: usize) -> Self {
+        let weight = relaxed.powi(2).recip();
         let mut damping = 1.0;
         let cost_of = |residual: &DVector<f64>, free: &[Free], at: &DVector<f64>| {
             weight * residual.norm_squared() + prior_cost(free, at)
@@ -329,7 +347,7 @@ impl<A: Axis> Fit<A> {
         let mut cost = cost_of(&self.residual, &self.free, &self.at);
         for _ in 0..iterations {
             if self.age >= OLD_AGE {
-                self = self.renewed(problem);
+                self = self.with_slopes(problem, relaxed);
             }
             let tried: Vec<(f64, DVector<f64>)> = DAMPINGS
                 .iter()
@@ -454,10 +472,10 @@ fn placed<A: Axis>(spec: &A, free: &[Free], at: &DVector<f64>) -> A {
 }
 
 /// Machines that are a small step away, one for each of some parameters.
-fn moved<A: Axis>(spec: &A, free: &[Free], at: &DVector<f64>, columns: &[usize]) -> Vec<A> {
+fn moved<A: Axis>(spec: &A, free: &[Free], at: &DVector<f64>, columns: &[usize], relaxed: f64) -> Vec<A> {
     let along = |column: &usize| {
         let mut there = at.clone();
-        there[*column] += free[*column].step(at[*column]);
+        there[*column] += free[*column].step(at[*column], relaxed);
         placed(spec, free, &there)
     };
     columns.iter().map(along).collect()
@@ -468,12 +486,12 @@ fn set_slopes(
     free: &[Free],
     at: &DVector<f64>,
     residual: &DVector<f64>,
-    columns: &[usize],
+    (columns, relaxed): (&[usize], f64),
     shown: impl Iterator<Item = DVector<f64>>,
     jacobian: &mut DMatrix<f64>,
 ) {
     for (column, there) in columns.iter().zip(shown) {
-        jacobian.set_column(*column, &((there - residual) / free[*column].step(at[*column])));
+        jacobian.set_column(*column, &((there - residual) / free[*column].step(at[*column], relaxed)));
     }
 }
 

@@ -1,25 +1,31 @@
 //! How likely each explanation is: retuning alone, each effect, none of these.
 //!
+//! Three questions in turn. *Is there a gap that retuning leaves?* Scores decide between the retuned machine and those with effects, and the
+//! retuned gap itself, over what differs from cycle to cycle, says whether anything is left at all. *Does the catalogue explain it?* The
+//! best machine's share of the evidence that retuning leaves: the right cause leaves noise, or, under a somewhat different law, less than half;
+//! a cause that the catalogue lacks is imitated in parts. *Which effect is it?* Scores again.
+//!
 //! Scores are log-likelihoods of the differences' mean squares by signal, with heavy tails, since the right cause under a slightly different
 //! law leaves a small rest; each free parameter of an effect costs half the logarithm of the number of independent values
-//! (Schwarz, Annals of Statistics 6 (1978)). "None of these" is scored as an explanation that leaves a third of the retuned gap: an effect
-//! that leaves less beats it, and one that leaves more does not.
+//! (Schwarz, Annals of Statistics 6 (1978)).
 
 use crate::axis::Axis;
 use crate::fit::{Fit, INDEPENDENT, Problem, prior_cost};
 use crate::search::Explanation;
 
-/// Rest of the retuned gap that the right cause under another law leaves, share of its RMS.
-const REST_OF_A_NAMED_CAUSE: f64 = 0.35;
-/// Parameters that an unknown cause is charged with.
-const UNKNOWN_PARAMETERS: f64 = 6.0;
-/// Prior probabilities: of no effect, and of one that nobody has named.
-const PRIOR_NONE: f64 = 0.4;
-const PRIOR_UNKNOWN: f64 = 0.1;
+/// Prior probability of no effect.
+const PRIOR_NONE: f64 = 0.45;
 /// Prior probability that there is another effect beside one.
 const PRIOR_ANOTHER: f64 = 0.3;
 /// Share of the score that is believed: the scores' own errors are of the order of the scores.
 const TEMPER: f64 = 0.25;
+/// Evidence of a gap beyond noise at which "no effect" is as likely as not, whatever the scores say: a signal or two off by somewhat more
+/// than their expected error.
+const EVIDENT: f64 = 1.2;
+/// Share of the evidence at which "none of these" is as likely as not, and the width of the change.
+const HALF_EXPLAINED: (f64, f64) = (0.5, 0.08);
+/// What a further effect of a machine adds to that share: two effects imitate more than one.
+const SHARE_OF_ANOTHER: f64 = 0.06;
 
 /// Probabilities that sum to 1.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,29 +38,22 @@ pub struct Ranking {
     pub explanations: Vec<f64>,
 }
 
-/// Log-likelihood of a fit's mean squares by signal.
-fn likelihood(by_signal: &[f64]) -> f64 {
-    -0.5 * INDEPENDENT * by_signal.iter().map(|square| square.ln_1p()).sum::<f64>()
+/// Minus the log-likelihood of mean squares by signal, over half the independent values.
+fn evidence(by_signal: &[f64]) -> f64 {
+    by_signal.iter().map(|square| square.ln_1p()).sum()
 }
 
 /// Score of a machine whose effects have that many parameters.
 pub(crate) fn score<A>(problem: &Problem<'_>, fit: &Fit<A>, parameters: f64) -> f64 {
-    likelihood(&problem.by_signal(&fit.residual))
+    -0.5 * INDEPENDENT * evidence(&problem.by_signal(&fit.residual))
         - 0.5 * prior_cost(&fit.free, &fit.at)
         - 0.5 * parameters * INDEPENDENT.ln()
 }
 
 /// Weighs the explanations.
 pub fn rank<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, explanations: &[Explanation<A>]) -> Ranking {
-    let none = score(problem, retuned, 0.0);
-    let rest: Vec<f64> = problem
-        .by_signal(&retuned.residual)
-        .iter()
-        .map(|square| (square * REST_OF_A_NAMED_CAUSE * REST_OF_A_NAMED_CAUSE).max(square.min(1.0)))
-        .collect();
-    let unknown = likelihood(&rest) - 0.5 * UNKNOWN_PARAMETERS * INDEPENDENT.ln();
-    let each = (1.0 - PRIOR_NONE - PRIOR_UNKNOWN) / A::catalogue().len() as f64;
-    let mut logs = vec![TEMPER * none + PRIOR_NONE.ln(), TEMPER * unknown + PRIOR_UNKNOWN.ln()];
+    let each = (1.0 - PRIOR_NONE) / A::catalogue().len() as f64;
+    let mut logs = vec![TEMPER * score(problem, retuned, 0.0) + PRIOR_NONE.ln()];
     logs.extend(explanations.iter().map(|explanation| {
         let further = (explanation.effects.len() - 1) as f64;
         let prior = each.ln() + further * (PRIOR_ANOTHER * each).ln();
@@ -63,6 +62,22 @@ pub fn rank<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, explanations: &[Ex
     let highest = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let weights: Vec<f64> = logs.iter().map(|log| (log - highest).exp()).collect();
     let sum: f64 = weights.iter().sum();
-    let share = |index: usize| weights[index] / sum;
-    Ranking { none: share(0), unknown: share(1), explanations: (2..weights.len()).map(share).collect() }
+
+    let beyond_noise = |fit: &Fit<A>| {
+        (evidence(&problem.by_signal(&fit.residual)) - evidence(&problem.noise)).max(0.0)
+    };
+    let gap = beyond_noise(retuned);
+    let none = weights[0] / sum / (1.0 + (gap / EVIDENT).powi(4));
+    let best = explanations.iter().zip(&weights[1..]).max_by(|a, b| a.1.total_cmp(b.1));
+    let left = best.map_or(1.0, |(best, _)| {
+        // Shares of next to nothing say nothing.
+        let share = beyond_noise(&best.fit) / gap.max(0.1 * EVIDENT);
+        share + SHARE_OF_ANOTHER * (best.effects.len() - 1) as f64
+    });
+    let unexplained = 1.0 / (1.0 + ((HALF_EXPLAINED.0 - left) / HALF_EXPLAINED.1).exp());
+    let with_effects = (sum - weights[0]).max(f64::MIN_POSITIVE);
+    let named = (1.0 - none) * (1.0 - unexplained);
+    let unknown = if explanations.is_empty() { 1.0 - none } else { (1.0 - none) * unexplained };
+    let explanations = weights[1..].iter().map(|weight| named * weight / with_effects).collect();
+    Ranking { none, unknown, explanations }
 }

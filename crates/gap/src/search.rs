@@ -115,7 +115,7 @@ fn single_effects<A: Axis>(
     let fit = |(candidate, from_afar): &(&Candidate, bool)| {
         let start = if *from_afar { untouched } else { retuned };
         let fit = beside(problem, start, candidate.effect, &candidate.values);
-        if *from_afar {
+        if *from_afar || (0..candidate.effect.parameters.len()).any(|index| candidate.effect.is_time(index)) {
             fit.from_afar(problem, settings.iterations)
         } else {
             fit.fitted(problem, settings.iterations)

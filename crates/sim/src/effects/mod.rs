@@ -193,6 +193,13 @@ pub struct About {
     pub equation: Equation,
 }
 
+impl About {
+    /// Whether a parameter is when an event begins, or how long it lasts.
+    pub fn is_time(&self, parameter: usize) -> bool {
+        self.parameters.get(parameter).is_some_and(|parameter| matches!(parameter.name, "start_s" | "duration_s"))
+    }
+}
+
 /// An effect: its description, and the way to its law.
 pub trait Effect: Sync {
     /// The description.
