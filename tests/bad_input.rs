@@ -74,7 +74,12 @@ fn file_of_another_kind_is_unreadable_data() {
     assert_eq!((code, text.contains("neither an MCAP log nor a text")), (65, true), "{text}");
     let (code, text) = replay_refusal(&file(&folder, "prose.txt", "Dear reader,\nthis is no log.\n"));
     assert_eq!(
-        (code, text.contains("no column `t_s` for the time and no column `command` for the command; there are: Dear reader")),
+        (
+            code,
+            text.contains(
+                "no column `t_s` for the time and no column `command` for the command; there are: Dear reader"
+            )
+        ),
         (65, true),
         "{text}"
     );

@@ -98,7 +98,8 @@ pub fn draw(seed: u64, each: usize, sizes: usize) -> Vec<Case> {
     }
     for _ in 0..each {
         let first = any_effect(&mut noise);
-        let second = std::iter::repeat_with(|| any_effect(&mut noise)).find(|other| other.key() != first.key());
+        let second =
+            std::iter::repeat_with(|| any_effect(&mut noise)).find(|other| other.key() != first.key());
         let pair = [Some(first), second];
         let pair: Vec<&'static dyn Effect> = pair.into_iter().flatten().collect();
         truths.push(planted(Set::Pair, &pair, STRENGTHS[2], &mut noise));
@@ -148,8 +149,7 @@ fn without(truth: &Truth, noise: &mut Noise) -> String {
     if truth.set == Set::LeftOut {
         return truth.effects.keys().next().cloned().unwrap_or_default();
     }
-    let classes: Vec<&str> =
-        truth.effects.keys().flat_map(|key| class_of(key).iter().copied()).collect();
+    let classes: Vec<&str> = truth.effects.keys().flat_map(|key| class_of(key).iter().copied()).collect();
     std::iter::repeat_with(|| any_effect(noise).key())
         .find(|key| !truth.effects.contains_key(*key) && !classes.contains(key))
         .unwrap_or_default()
@@ -236,7 +236,9 @@ fn values(effect: &dyn Effect, strength: (f64, f64), noise: &mut Noise) -> BTree
         let up = noise.uniform(0.0, 1.0) < 0.5;
         given.insert(parameter.name.to_owned(), value(effect.key(), parameter, index, (share, anywhere, up)));
     }
-    if let (Some(coulomb), Some(excess)) = (given.get("force_n").copied(), given.get("static_force_n").copied()) {
+    if let (Some(coulomb), Some(excess)) =
+        (given.get("force_n").copied(), given.get("static_force_n").copied())
+    {
         // Static friction is what it takes beyond the dynamic one.
         given.insert("static_force_n".into(), (1.2 * coulomb + 0.3 * excess).min(8e3));
     }

@@ -203,22 +203,31 @@ impl Press {
         let seal = laws.piston_leak(p, p_1 - p_2, &sq) + (p_1 - p_2) / p.seal_resistance_pa_s_per_m3 * thin;
         let to_rod = (p_3 - p_2) / p.valve_rod_resistance_pa_s_per_m3 * thin;
         let to_return = (p_3 - p.return_pressure_pa) / p.valve_return_resistance_pa_s_per_m3 * thin;
-        let supply = p.pump_flow_m3_per_s - line - relief - laws.pump_slip * p_s - laws.consumer(at_s)
+        let supply = p.pump_flow_m3_per_s
+            - line
+            - relief
+            - laws.pump_slip * p_s
+            - laws.consumer(at_s)
             - self.foreign.map_or(0.0, |foreign| foreign.pump_loss(p_s));
         let inlet = line - drawn - to_rod - to_return - land(p_3 - p_1) - land(p_3 - p_2);
-        let cap = into_cap - p.cap_area_m2 * v - seal + land(p_3 - p_1) - land(p_1 - p.return_pressure_pa)
+        let cap = into_cap - p.cap_area_m2 * v - seal + land(p_3 - p_1)
+            - land(p_1 - p.return_pressure_pa)
             - laws.outer_leak(laws.external_cap, p_1, self.other_law);
         let rod = into_rod + p.annulus_area_m2 * v + seal + to_rod + land(p_3 - p_2)
             - land(p_2 - p.return_pressure_pa)
             - laws.outer_leak(laws.external_rod, p_2, self.other_law);
-        let (friction, bristle_rate) = laws.friction(state, (p_1 - p_2).abs() * p.cap_area_m2, self.other_law);
+        let (friction, bristle_rate) =
+            laws.friction(state, (p_1 - p_2).abs() * p.cap_area_m2, self.other_law);
         let outer = load * p.load_scale + laws.load_bias + self.foreign.map_or(0.0, |f| f.force(x, v, at_s));
-        let inner = p.cap_area_m2 * p_1 - p.annulus_area_m2 * p_2
+        let inner = p.cap_area_m2 * p_1
+            - p.annulus_area_m2 * p_2
             - p.viscous_friction_n_s_per_m * laws.viscosity.laminar * v
             - friction
             - laws.spring(x, self.other_law);
         let (acceleration, bend_acceleration) = laws.masses(state, p.mass_kg, inner, outer);
-        let compliance = |volume: f64, pressure: f64| volume * (1.0 / p.bulk_modulus_pa + laws.air(pressure, self.other_law));
+        let compliance = |volume: f64, pressure: f64| {
+            volume * (1.0 / p.bulk_modulus_pa + laws.air(pressure, self.other_law))
+        };
         let mut rates = [0.0; STATES];
         rates[P_S] = supply / (compliance(p.supply_volume_m3, p_s) + laws.accumulator(p_s, self.other_law));
         rates[P_3] = inlet / compliance(p.inlet_volume_m3, p_3);
@@ -255,7 +264,8 @@ impl Controlling {
         let error = demand_m - position_m;
         let increment = c.ki * laws.ki * error * c.period_s;
         let gain = press.foreign.map_or(1.0, |foreign| foreign.gain(error));
-        let others = gain * c.kp * laws.kp * error - c.kd * laws.kd * (position_m - self.position) / c.period_s;
+        let others =
+            gain * c.kp * laws.kp * error - c.kd * laws.kd * (position_m - self.position) / c.period_s;
         self.position = position_m;
         let raw = others + self.integral + increment;
         if !(raw.abs() > 1.0 && raw * error > 0.0) {
@@ -548,9 +558,8 @@ impl Laws {
 
     /// What the position sensor's electronics see.
     fn scaled(&self, x: f64) -> f64 {
-        let ripple = self.sine.map_or(0.0, |(amplitude, pitch)| {
-            amplitude * (std::f64::consts::TAU * x / pitch).sin()
-        });
+        let ripple =
+            self.sine.map_or(0.0, |(amplitude, pitch)| amplitude * (std::f64::consts::TAU * x / pitch).sin());
         self.scale * x + ripple
     }
 

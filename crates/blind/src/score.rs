@@ -182,7 +182,17 @@ fn leak_error(answers: &[&Answered], of: impl Fn(&Leak) -> Option<f64>) -> f64 {
 
 /// Probability that one of the first is larger than one of the second; ties count half.
 fn auroc(larger: &[f64], smaller: &[f64]) -> f64 {
-    let wins = larger.iter().flat_map(|a| smaller.iter().map(move |b| if a > b { 1.0 } else if a == b { 0.5 } else { 0.0 }));
+    let wins = larger.iter().flat_map(|a| {
+        smaller.iter().map(move |b| {
+            if a > b {
+                1.0
+            } else if a == b {
+                0.5
+            } else {
+                0.0
+            }
+        })
+    });
     mean(wins)
 }
 
@@ -197,12 +207,14 @@ fn calibration(answers: &[Answered]) -> [f64; 3] {
             bin.1 += f64::from(u8::from(right(index)));
             bin.2 += 1;
         }
-        bins.iter().map(|(confidence, right, _)| (confidence - right).abs()).sum::<f64>() / pairs.len().max(1) as f64
+        bins.iter().map(|(confidence, right, _)| (confidence - right).abs()).sum::<f64>()
+            / pairs.len().max(1) as f64
     };
     let measured = error(&|index| pairs[index].1);
     let mut noise = Noise::new(1, 3);
     let perfect = mean((0..400).map(|_| {
-        let drawn: Vec<bool> = pairs.iter().map(|(confidence, _)| noise.uniform(0.0, 1.0) < *confidence).collect();
+        let drawn: Vec<bool> =
+            pairs.iter().map(|(confidence, _)| noise.uniform(0.0, 1.0) < *confidence).collect();
         error(&|index| drawn[index])
     }));
     [measured, perfect, (measured - perfect).max(0.0)]
@@ -211,9 +223,11 @@ fn calibration(answers: &[Answered]) -> [f64; 3] {
 impl Answer {
     /// Whether something is left above the floor after retuning.
     fn visible(&self) -> bool {
-        self.gap.retuned.iter().any(|(signal, gap)| {
-            *gap > FLOORS * self.floor.get(signal).copied().unwrap_or(0.0)
-        }) || self.gap.retuned.is_empty()
+        self.gap
+            .retuned
+            .iter()
+            .any(|(signal, gap)| *gap > FLOORS * self.floor.get(signal).copied().unwrap_or(0.0))
+            || self.gap.retuned.is_empty()
     }
 
     /// Whether something beyond parameters was called.
@@ -243,14 +257,18 @@ impl Answered {
     }
 
     fn chosen(&self, effect: &str) -> bool {
-        self.answer.chosen.iter().any(|chosen| chosen == effect || class_of(effect).contains(&chosen.as_str()))
+        self.answer
+            .chosen
+            .iter()
+            .any(|chosen| chosen == effect || class_of(effect).contains(&chosen.as_str()))
     }
 
     /// The most likely explanation, with its class's probability.
     fn confidence(&self) -> (Explanation<'_>, f64) {
         let answer = &self.answer;
         let of_class = |named: &Named| {
-            let same = |other: &&Named| other.effect == named.effect || named.equivalent.contains(&other.effect);
+            let same =
+                |other: &&Named| other.effect == named.effect || named.equivalent.contains(&other.effect);
             answer.effects.iter().filter(same).map(|other| other.probability).sum::<f64>()
         };
         let effect = answer.effects.first().map_or(0.0, of_class);
@@ -279,9 +297,10 @@ impl Answered {
     /// How far the claimed gap is from the emitted plant's.
     fn claim_error(&self) -> Option<f64> {
         let measured = self.measured.as_ref()?;
-        let differences = self.answer.gap.chosen.iter().filter_map(|(signal, claimed)| {
-            measured.get(signal).map(|measured| (measured - claimed).abs())
-        });
+        let differences =
+            self.answer.gap.chosen.iter().filter_map(|(signal, claimed)| {
+                measured.get(signal).map(|measured| (measured - claimed).abs())
+            });
         Some(differences.fold(0.0, f64::max))
     }
 

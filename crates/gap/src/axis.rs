@@ -68,6 +68,9 @@ pub trait Axis: Clone + Send + Sync {
     fn tick_s(&self) -> f64;
     /// Stroke, m.
     fn stroke_m(&self) -> f64;
+    /// What the controller must have been asked for, m, tick by tick, to give those commands at those positions. It serves to find where the
+    /// cycles of a log without a demand begin.
+    fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Vec<f64>;
     /// Simulates machines along a drive, closed loop, and bins what they show after the first `warm_up` ticks. A simulation that goes out
     /// of bounds shows NaN.
     fn run(machines: &[Self], drive: &[Instant], warm_up: usize, signals: &[Signal]) -> Vec<View>;

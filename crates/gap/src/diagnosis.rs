@@ -66,17 +66,17 @@ pub fn diagnose<A: Axis>(
     tell(2);
     let found = search(&problem, &untouched, retuned, &far, settings);
     tell(3);
-    if std::env::var_os("SEEPD_GAP_TRACE").is_some() {
-        let told = |fit: &Fit<A>| format!("{:.1} {:?}", fit.cost, problem.by_signal(&fit.residual).iter().map(|x| (x * 100.0).round() / 100.0).collect::<Vec<_>>());
-        eprintln!("nominal {}\nretuned {}", told(&nominal), told(&found.retuned));
-        for one in &found.explanations {
-            eprintln!("{:?} {} {:.1}", one.effects.iter().map(|e| e.key).collect::<Vec<_>>(), told(&one.fit), crate::rank::score(&problem, &one.fit, one.parameters() as f64));
-        }
-    }
     let weighed = Weighed::new(&problem, found);
     let (verdict, reason) = verdict(&problem, record, &nominal, &weighed);
     let held_out = HeldOut { record, cycles: &held_out };
-    let told = Telling { record, spec, problem: &problem, nominal: &nominal, weighed: &weighed, held_out: &held_out };
+    let told = Telling {
+        record,
+        spec,
+        problem: &problem,
+        nominal: &nominal,
+        weighed: &weighed,
+        held_out: &held_out,
+    };
     let diagnosis = told.diagnosis(settings, verdict, reason, fitted.len());
     tell(STEPS);
     let machine = told.chosen(verdict).spec.clone();
@@ -141,8 +141,14 @@ impl<A: Axis> Weighed<A> {
             found.explanations.into_iter().zip(probabilities).collect();
         explanations.sort_by(|a, b| b.1.total_cmp(&a.1));
         let beyond = Beyond::new(&found.retuned);
-        let mut weighed =
-            Weighed { retuned: found.retuned, candidates: found.candidates, explanations, unknown, none, beyond };
+        let mut weighed = Weighed {
+            retuned: found.retuned,
+            candidates: found.candidates,
+            explanations,
+            unknown,
+            none,
+            beyond,
+        };
         weighed.prefer_the_common();
         weighed
     }
@@ -173,7 +179,8 @@ impl<A: Axis> Weighed<A> {
     fn equivalents(&self, key: &str) -> Vec<&'static str> {
         let Some(own) = self.best_with(key) else { return Vec::new() };
         let of_rest = |other: &&Explanation<A>| {
-            other.effects.len() + 1 == own.effects.len() && other.effects.iter().all(|e| e.key != key && own.has(e.key))
+            other.effects.len() + 1 == own.effects.len()
+                && other.effects.iter().all(|e| e.key != key && own.has(e.key))
         };
         let base = match self.machines().find(of_rest) {
             Some(rest) => &rest.fit,
@@ -187,7 +194,8 @@ impl<A: Axis> Weighed<A> {
         let instead = |other: &Explanation<A>| {
             let different: Vec<&'static str> =
                 other.effects.iter().map(|effect| effect.key).filter(|key| !own.has(key)).collect();
-            let replaces = other.effects.len() == own.effects.len() && !other.has(key) && different.len() == 1;
+            let replaces =
+                other.effects.len() == own.effects.len() && !other.has(key) && different.len() == 1;
             let other = signature(other);
             (replaces && own_signature.dot(&other) > EQUIVALENT * own_signature.norm() * other.norm())
                 .then(|| different[0])
@@ -208,7 +216,9 @@ impl<A: Axis> Weighed<A> {
             explanation.effects.iter().map(|effect| place_of(effect.key)).sum()
         };
         let close = |other: &(Explanation<A>, f64)| {
-            other.1 > ALIKE * probability && other.0.parameters() <= best.parameters() && self.is_like(best, &other.0)
+            other.1 > ALIKE * probability
+                && other.0.parameters() <= best.parameters()
+                && self.is_like(best, &other.0)
         };
         let alike = self.explanations.iter().enumerate().filter(|(_, other)| close(other));
         if let Some((index, _)) = alike.min_by_key(|(_, (explanation, _))| place(explanation)) {
@@ -252,8 +262,12 @@ fn verdict<A: Axis>(
     if class >= CHOSEN {
         return (Verdict::Effect, few);
     }
-    let names: Vec<&str> =
-        weighed.effects().iter().filter(|(_, probability)| *probability > 0.1).map(|(effect, _)| effect.key).collect();
+    let names: Vec<&str> = weighed
+        .effects()
+        .iter()
+        .filter(|(_, probability)| *probability > 0.1)
+        .map(|(effect, _)| effect.key)
+        .collect();
     (Verdict::CannotTell, Some(format!("several effects explain the log alike: {}", names.join(", "))))
 }
 
@@ -277,12 +291,19 @@ impl<A: Axis> Telling<'_, A> {
         }
     }
 
-    fn diagnosis(&self, settings: &Settings, verdict: Verdict, reason: Option<String>, fitted: usize) -> Diagnosis {
+    fn diagnosis(
+        &self,
+        settings: &Settings,
+        verdict: Verdict,
+        reason: Option<String>,
+        fitted: usize,
+    ) -> Diagnosis {
         let (record, weighed) = (self.record, self.weighed);
         let (retuned, chosen) = (&weighed.retuned, self.chosen(verdict));
         let effects = weighed.effects();
         let mut machines = vec![self.nominal.spec.clone(), retuned.spec.clone(), chosen.spec.clone()];
-        let best: Vec<&Explanation<A>> = effects.iter().filter_map(|(effect, _)| weighed.best_with(effect.key)).collect();
+        let best: Vec<&Explanation<A>> =
+            effects.iter().filter_map(|(effect, _)| weighed.best_with(effect.key)).collect();
         machines.extend(best.iter().map(|explanation| explanation.fit.spec.clone()));
         let gaps = self.held_out.gaps(&machines);
         let shrink = |now: &[f64], to_floor: bool| self.held_out.shrink(&gaps[0], now, to_floor);
@@ -299,14 +320,19 @@ impl<A: Axis> Telling<'_, A> {
         };
         let effects_chosen = match weighed.explanations.first() {
             Some((best, _)) if verdict == Verdict::Effect => {
-                let parts = attributed(self.problem, self.held_out, &gaps[0], retuned, best, settings.iterations);
+                let parts =
+                    attributed(self.problem, self.held_out, &gaps[0], retuned, best, settings.iterations);
                 best.effects.iter().map(|effect| effect.key).zip(parts).collect()
             }
             _ => Vec::new(),
         };
         Diagnosis {
             schema: "seepd.gap/1",
-            cycles: CycleCounts { used: record.cycles.len(), fit: fitted, held_out: self.held_out.cycles.len() },
+            cycles: CycleCounts {
+                used: record.cycles.len(),
+                fit: fitted,
+                held_out: self.held_out.cycles.len(),
+            },
             signals: record.signals.iter().map(|signal| signal.name()).collect(),
             floor: told(&record.floor),
             gap: Gaps { nominal: told(&gaps[0]), retuned: told(&gaps[1]), chosen: told(&gaps[2]) },
@@ -350,7 +376,9 @@ impl<A: Axis> Telling<'_, A> {
             .iter()
             .zip(fit.estimates())
             .filter_map(|(free, estimate)| match free.target {
-                Target::Effect(of, index) if of.key == effect.key => Some((of.parameters[index].name, estimate)),
+                Target::Effect(of, index) if of.key == effect.key => {
+                    Some((of.parameters[index].name, estimate))
+                }
                 _ => None,
             })
             .collect();

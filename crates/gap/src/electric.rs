@@ -34,7 +34,10 @@ impl Axis for ElectricAxis {
                 sigma: Some(std::f64::consts::LN_2),
             })
         };
-        [by_factor("mass_kg", "M"), by_factor("viscous_friction_n_s_per_m", "F_v")].into_iter().flatten().collect()
+        [by_factor("mass_kg", "M"), by_factor("viscous_friction_n_s_per_m", "F_v")]
+            .into_iter()
+            .flatten()
+            .collect()
     }
 
     fn wear(&self) -> Option<Tunable> {
@@ -68,7 +71,8 @@ impl Axis for ElectricAxis {
     /// Forces are in proportion to the drive's.
     fn range(&self, _effect: &About, parameter: &Parameter) -> (f64, f64) {
         let (low, high) = parameter.range;
-        let scale = if parameter.unit.starts_with('N') { self.plant.full_force_n / REFERENCE_FORCE_N } else { 1.0 };
+        let scale =
+            if parameter.unit.starts_with('N') { self.plant.full_force_n / REFERENCE_FORCE_N } else { 1.0 };
         (low * scale, high * scale)
     }
 
@@ -86,6 +90,20 @@ impl Axis for ElectricAxis {
 
     fn stroke_m(&self) -> f64 {
         self.plant.stroke_m
+    }
+
+    /// The cascade solved for the demand, with the speed over ten ticks.
+    fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Vec<f64> {
+        const REACH: usize = 5;
+        let c = &self.controller;
+        let speed = |tick: usize| {
+            let (from, to) = (tick.saturating_sub(REACH), (tick + REACH).min(position_m.len() - 1));
+            (position_m[to] - position_m[from]) / ((to - from).max(1) as f64 * c.period_s)
+        };
+        let pairs = command.iter().zip(position_m).enumerate();
+        pairs
+            .map(|(tick, (u, x))| x + (u / c.velocity_gain_s_per_m + speed(tick)) / c.position_gain_per_s)
+            .collect()
     }
 
     fn run(machines: &[Self], drive: &[Instant], warm_up: usize, signals: &[Signal]) -> Vec<View> {
@@ -114,13 +132,16 @@ impl Axis for ElectricAxis {
 
     /// The balance of forces, over the drive's full force.
     fn imbalances(&self, signals: &[Signal], view: &View) -> Imbalances {
-        let bins = |signal: Signal| signals.iter().position(|other| *other == signal).map(|index| &view[index]);
+        let bins =
+            |signal: Signal| signals.iter().position(|other| *other == signal).map(|index| &view[index]);
         let (Some(u), Some(x)) = (bins(Signal::Command), bins(Signal::Position)) else { return Vec::new() };
         let dt = self.cycle.period_s / BINS as f64;
         let force = (0..BINS).map(|bin| {
             let (next, before) = (x[(bin + 1) % BINS], x[(bin + BINS - 1) % BINS]);
             let (v, a) = ((next - before) / (2.0 * dt), (next - 2.0 * x[bin] + before) / (dt * dt));
-            u[bin] - (self.plant.mass_kg * a + self.plant.viscous_friction_n_s_per_m * v) / self.plant.full_force_n
+            u[bin]
+                - (self.plant.mass_kg * a + self.plant.viscous_friction_n_s_per_m * v)
+                    / self.plant.full_force_n
         });
         vec![("force", force.collect())]
     }

@@ -287,13 +287,7 @@ impl<A: Axis> Fit<A> {
     }
 
     /// A machine with derivatives of some age by its first parameters; those by the others are simulated.
-    fn beside(
-        problem: &Problem<'_>,
-        spec: &A,
-        free: Vec<Free>,
-        known: DMatrix<f64>,
-        age: usize,
-    ) -> Self {
+    fn beside(problem: &Problem<'_>, spec: &A, free: Vec<Free>, known: DMatrix<f64>, age: usize) -> Self {
         let at = coordinates(spec, &free);
         let columns: Vec<usize> = (known.ncols()..free.len()).collect();
         let mut machines = vec![spec.clone()];
@@ -353,8 +347,7 @@ impl<A: Axis> Fit<A> {
                 .iter()
                 .filter_map(|factor| Some((damping * factor, self.step(weight, damping * factor)?)))
                 .collect();
-            let machines: Vec<A> =
-                tried.iter().map(|(_, at)| placed(&self.spec, &self.free, at)).collect();
+            let machines: Vec<A> = tried.iter().map(|(_, at)| placed(&self.spec, &self.free, at)).collect();
             let results = problem.residuals(&machines);
             let best = results
                 .into_iter()

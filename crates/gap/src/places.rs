@@ -37,8 +37,7 @@ fn phases<A: Axis>(spec: &A) -> Vec<usize> {
         .map(|bin| {
             let position = cycle.demand_m(at(bin as f64));
             let (before, after) = (speed(bin.saturating_sub(8)), speed((bin + 8).min(BINS - 1)));
-            if position < NEAR_END * spec.stroke_m() || position > (1.0 - NEAR_END) * spec.stroke_m()
-            {
+            if position < NEAR_END * spec.stroke_m() || position > (1.0 - NEAR_END) * spec.stroke_m() {
                 6
             } else if before * after < -(STANDING * fastest).powi(2) {
                 4

@@ -32,6 +32,9 @@ const RETURN_PRESSURE_PA: (f64, f64) = (2.5e6, 2e5);
 /// Largest leak that is fitted, and its unit in the fit, m².
 const LEAK_M2: (f64, f64) = (3e-5, 1e-7);
 
+/// Time constants after which the integrator's start is forgotten.
+const FORGOTTEN: f64 = 3.0;
+
 fn symbol_of(key: &'static str) -> &'static str {
     PlantParameters::ALL.iter().find(|info| info.key == key).map_or(key, |info| info.symbol)
 }
@@ -119,13 +122,33 @@ impl Axis for MachineSpec {
         self.plant.stroke_m
     }
 
+    /// The PID law solved for the error. What the integrator held at the log's start is forgotten with Kp/Ki; until then nothing is said.
+    fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Vec<f64> {
+        let c = &self.controller;
+        let unsure_s = (FORGOTTEN * c.kp / c.ki.max(f64::MIN_POSITIVE)).min(0.3 * self.cycle.period_s);
+        let unsure = if c.ki > 0.0 { (unsure_s / c.period_s) as usize } else { 0 };
+        let (mut integral, mut before) = (0.0, position_m.first().copied().unwrap_or(0.0));
+        let of = |(tick, (u, x)): (usize, (&f64, &f64))| {
+            if !(u.is_finite() && x.is_finite()) {
+                return f64::NAN;
+            }
+            let braking = c.kd * (x - before) / c.period_s;
+            let error = (u - integral + braking) / (c.kp + c.ki * c.period_s).max(f64::MIN_POSITIVE);
+            integral += c.ki * c.period_s * error;
+            before = *x;
+            if tick < unsure { f64::NAN } else { x + error }
+        };
+        command.iter().zip(position_m).enumerate().map(of).collect()
+    }
+
     fn run(machines: &[Self], drive: &[Instant], warm_up: usize, signals: &[Signal]) -> Vec<View> {
         let ticks = drive.len() - warm_up;
         machines
             .par_chunks(LANES)
             .flat_map_iter(|machines| {
                 // Retuning may make a plant stiffer than its file's.
-                let machines: Vec<MachineSpec> = machines.iter().map(MachineSpec::with_stable_steps).collect();
+                let machines: Vec<MachineSpec> =
+                    machines.iter().map(MachineSpec::with_stable_steps).collect();
                 let mut sums = vec![vec![[0.0; LANES]; BINS]; signals.len()];
                 let mut counts = vec![0u32; BINS];
                 follow(&machines, drive, |tick, record| {

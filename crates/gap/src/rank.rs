@@ -63,9 +63,8 @@ pub fn rank<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, explanations: &[Ex
     let weights: Vec<f64> = logs.iter().map(|log| (log - highest).exp()).collect();
     let sum: f64 = weights.iter().sum();
 
-    let beyond_noise = |fit: &Fit<A>| {
-        (evidence(&problem.by_signal(&fit.residual)) - evidence(&problem.noise)).max(0.0)
-    };
+    let beyond_noise =
+        |fit: &Fit<A>| (evidence(&problem.by_signal(&fit.residual)) - evidence(&problem.noise)).max(0.0);
     let gap = beyond_noise(retuned);
     let none = weights[0] / sum / (1.0 + (gap / EVIDENT).powi(4));
     let best = explanations.iter().zip(&weights[1..]).max_by(|a, b| a.1.total_cmp(b.1));

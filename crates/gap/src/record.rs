@@ -110,9 +110,13 @@ impl Record {
         let ticks = (spec.duty_cycle().period_s / spec.tick_s()).round() as usize;
         let plan: Vec<f64> =
             (0..ticks).map(|tick| spec.duty_cycle().demand_m(tick as f64 * spec.tick_s())).collect();
-        let guide = log.get(Signal::Demand).or(log.get(Signal::Position)).unwrap_or_default();
+        let asked = match (log.get(Signal::Demand), log.get(Signal::Command), log.get(Signal::Position)) {
+            (None, Some(command), Some(position)) => spec.asked_m(command, position),
+            _ => Vec::new(),
+        };
+        let guide = log.get(Signal::Demand).unwrap_or(&asked);
         if log.get(Signal::Demand).is_none() {
-            notes.push("the log has no demand; the plant file's is taken, aligned by the position".into());
+            notes.push("the log has no demand; the plant file's is taken, aligned by what the controller must have been asked".into());
         }
         if log.get(Signal::Load).is_none() {
             notes.push("the log has no load; the plant file's is taken".into());
@@ -124,10 +128,15 @@ impl Record {
         if best < LEAST_CORRELATION {
             return Err(RecordError::Mismatch(format!(
                 "{} and the plant file's duty cycle do not match (correlation {best:.2}); is it the right plant file?",
-                if log.get(Signal::Demand).is_some() { "the log's demand" } else { "the log's position" }
+                if log.get(Signal::Demand).is_some() {
+                    "the log's demand"
+                } else {
+                    "the log's command and position"
+                }
             )));
         }
-        let signals: Vec<Signal> = A::signals().iter().copied().filter(|signal| log.get(*signal).is_some()).collect();
+        let signals: Vec<Signal> =
+            A::signals().iter().copied().filter(|signal| log.get(*signal).is_some()).collect();
         let (mut cycles, mut incomplete) = (Vec::new(), 0);
         for start in starts {
             match cut(log, spec, &signals, start, ticks) {

@@ -39,8 +39,7 @@ pub fn screen<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, without: &[Strin
             tried.extend(levels(effect, &retuned.spec).into_iter().map(|values| (effect, values)));
         }
     }
-    let machines: Vec<A> =
-        tried.iter().map(|(effect, values)| with(&retuned.spec, effect, values)).collect();
+    let machines: Vec<A> = tried.iter().map(|(effect, values)| with(&retuned.spec, effect, values)).collect();
     let beyond = Beyond::new(retuned);
     let base = beyond.project(&retuned.residual);
     let mut best: Vec<Candidate> = Vec::new();

@@ -62,14 +62,16 @@ pub fn search<A: Axis>(
     far: &[Candidate],
     settings: &Settings,
 ) -> Found<A> {
-    let mut found = Found { candidates: screen(problem, &retuned, &settings.without), retuned, explanations: Vec::new() };
+    let mut found =
+        Found { candidates: screen(problem, &retuned, &settings.without), retuned, explanations: Vec::new() };
     found.explanations = single_effects(problem, untouched, &found.retuned, &found.candidates, far, settings);
     // An effect's fit that owes its success to the parameters beside it shows where retuning should have gone.
     let better = repolished(problem, &found, settings);
     if better.cost < WORTH_ANOTHER_ROUND * found.retuned.cost {
         found.retuned = better;
         found.candidates = screen(problem, &found.retuned, &settings.without);
-        found.explanations = single_effects(problem, untouched, &found.retuned, &found.candidates, far, settings);
+        found.explanations =
+            single_effects(problem, untouched, &found.retuned, &found.candidates, far, settings);
     }
     polish(problem, &mut found.explanations, settings);
     if found.explanations.iter().all(|one| something_left(problem, &one.fit)) {

@@ -20,7 +20,8 @@ pub fn views<A: Axis>(machines: &[A], drive: &[Instant], signals: &[Signal]) -> 
 /// its range of what it is after a whole cycle, on the default duty cycle.
 fn last_stroke(drive: &[Instant]) -> usize {
     let demands = || drive.iter().map(|instant| instant.demand_m);
-    let (low, high) = demands().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+    let (low, high) =
+        demands().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
     let end = demands().next_back().unwrap_or(0.0);
     let (mut least, mut most) = (end, end);
     for (tick, demand) in demands().enumerate().rev() {

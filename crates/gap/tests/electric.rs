@@ -69,7 +69,8 @@ fn coulomb_friction_then_the_offset_are_named_and_sized() {
 
 #[test]
 fn each_effect_is_named_within_its_class() {
-    let cases: [(&[(&str, &str, f64)], &[&str]); 4] = [
+    type Planted<'a> = &'a [(&'a str, &'a str, f64)];
+    let cases: [(Planted<'_>, &[&str]); 4] = [
         (&[("coulomb_friction", "force_n", 15.0)], &["coulomb_friction"]),
         (&[("force_offset", "force_n", -8.0)], &["force_offset"]),
         (&[("asymmetric_friction", "difference_n", 12.0)], &["asymmetric_friction"]),

@@ -72,7 +72,8 @@ pub struct Cascade {
 /// Speed over which friction changes sign, m/s.
 const TRANSITION_SPEED_M_PER_S: f64 = 1e-3;
 
-const SOURCE: &str = "guides and screws need to a fifth of a drive's force; of a drive of 1 kN, for others in proportion";
+const SOURCE: &str =
+    "guides and screws need to a fifth of a drive's force; of a drive of 1 kN, for others in proportion";
 
 macro_rules! parameter {
     ($name:literal, $unit:literal, $neutral:expr, $low:expr, $high:expr) => {
@@ -191,13 +192,23 @@ impl ElectricAxis {
         let expected = |what: &str| what.to_owned();
         for (key, value) in positive {
             if !(value.is_finite() && value > 0.0) {
-                return Err(SpecError::Value { line: None, key: key.into(), value, expected: expected("it must be positive") });
+                return Err(SpecError::Value {
+                    line: None,
+                    key: key.into(),
+                    value,
+                    expected: expected("it must be positive"),
+                });
             }
         }
         let value = self.plant.viscous_friction_n_s_per_m;
         if !(value.is_finite() && value >= 0.0) {
             let key = "plant.viscous_friction_n_s_per_m".into();
-            return Err(SpecError::Value { line: None, key, value, expected: expected("it must not be negative") });
+            return Err(SpecError::Value {
+                line: None,
+                key,
+                value,
+                expected: expected("it must not be negative"),
+            });
         }
         if self.cycle.moves.is_empty() || self.cycle.period_s < 20.0 * self.controller.period_s {
             let message = "the duty cycle needs moves, and a period of 20 controller periods or more".into();
@@ -205,9 +216,8 @@ impl ElectricAxis {
         }
         for (key, values) in &self.effects {
             let known: Vec<&str> = CATALOGUE.iter().map(|about| about.key).collect();
-            let about = CATALOGUE.iter().find(|about| about.key == key).ok_or_else(|| SpecError::Structure {
-                line: None,
-                message: format!("effects: {}", unknown_key(key, &known)),
+            let about = CATALOGUE.iter().find(|about| about.key == key).ok_or_else(|| {
+                SpecError::Structure { line: None, message: format!("effects: {}", unknown_key(key, &known)) }
             })?;
             for name in values.keys() {
                 let known: Vec<&str> = about.parameters.iter().map(|parameter| parameter.name).collect();

@@ -197,7 +197,8 @@ impl MachineSpec {
 
     fn check_bounds(&self) -> Result<(), SpecError> {
         for (name, [low, high]) in &self.bounds {
-            let Some(info) = PlantParameters::ALL.iter().find(|info| info.key == name || info.symbol == name) else {
+            let Some(info) = PlantParameters::ALL.iter().find(|info| info.key == name || info.symbol == name)
+            else {
                 let known: Vec<&str> = PlantParameters::ALL.iter().map(|info| info.key).collect();
                 let message = format!("bounds: {}", unknown_key(name, &known));
                 return Err(SpecError::Structure { line: None, message });

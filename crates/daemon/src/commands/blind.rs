@@ -68,6 +68,9 @@ struct PlantArguments {
     /// Sizes at which each effect is planted alone
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=3))]
     sizes: u16,
+    /// Keep so many of the cases only, in the order drawn
+    #[arg(long, value_name = "N")]
+    limit: Option<usize>,
     /// Duty cycles of a log
     #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u16).range(3..=1000))]
     cycles: u16,
@@ -180,7 +183,8 @@ fn plant(arguments: &PlantArguments) -> Result<Outcome, Failure> {
             return Err(Failure::new(Code::Usage, what));
         }
     }
-    let cases = seepd_blind::draw(arguments.seed, arguments.each.into(), arguments.sizes.into());
+    let mut cases = seepd_blind::draw(arguments.seed, arguments.each.into(), arguments.sizes.into());
+    cases.truncate(arguments.limit.unwrap_or(cases.len()));
     let bar = progress_bar(cases.len() as u64, "planting");
     cases.par_iter().try_for_each(|case| {
         let path = arguments.logs.join(format!("{}.mcap", case.name));
@@ -247,7 +251,10 @@ fn write_case(path: &Path, case: &Case, cycles: usize) -> Result<(), Failure> {
     });
     result.map_err(writing)?;
     if !finite {
-        return Err(Failure::new(Code::Internal, format!("{}: the planted machine went out of bounds", case.name)));
+        return Err(Failure::new(
+            Code::Internal,
+            format!("{}: the planted machine went out of bounds", case.name),
+        ));
     }
     sink.finish().map_err(writing)
 }
@@ -333,7 +340,12 @@ fn tell_scores(arguments: &ScoreArguments) -> Result<Outcome, Failure> {
 }
 
 /// The gap of an emitted plant, measured on the log itself.
-fn measured(logs: &Path, case: &str, view: View, plant: &Path) -> Result<Option<BTreeMap<String, f64>>, Failure> {
+fn measured(
+    logs: &Path,
+    case: &str,
+    view: View,
+    plant: &Path,
+) -> Result<Option<BTreeMap<String, f64>>, Failure> {
     let text = fs::read_to_string(plant).map_err(|error| Failure::reading(plant, &error))?;
     let spec = MachineSpec::from_toml(&text).map_err(|error| Failure::configuration(plant, error))?;
     let (log, _) = read(&logs.join(format!("{case}.mcap")), &Config::default(), &spec)?;

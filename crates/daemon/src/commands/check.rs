@@ -88,7 +88,7 @@ fn check(path: &Path) -> (&'static str, Result<String, Failure>) {
 }
 
 fn is_plant(text: &str) -> bool {
-    let tables = ["plant", "controller", "cycle", "effects"];
+    let tables = ["plant", "controller", "cycle", "effects", "bounds"];
     text.lines().any(|line| {
         let name = line.trim().trim_start_matches('[').split(['.', ']']).next().unwrap_or_default();
         line.trim().starts_with('[') && tables.contains(&name)

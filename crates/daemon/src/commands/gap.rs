@@ -138,7 +138,8 @@ fn run_on<A: PlantFile>(
     let diagnosed = pool(arguments.threads)?
         .install(|| answer(&log, spec, &settings, &mut |done| bar.set_position(done as u64)));
     bar.finish_and_clear();
-    let (mut diagnosis, machine) = diagnosed.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
+    let (mut diagnosis, machine) =
+        diagnosed.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
     diagnosis.notes.extend(notes);
     diagnosis.seconds = begin.elapsed().as_secs_f64();
     if let Some(path) = &arguments.emit_plant {

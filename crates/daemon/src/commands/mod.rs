@@ -1,10 +1,10 @@
 //! The commands, one file each.
 
+#[cfg(feature = "gap")]
+pub mod blind;
 pub mod check;
 #[cfg(feature = "simulate")]
 pub mod demo;
-#[cfg(feature = "gap")]
-pub mod blind;
 #[cfg(feature = "gap")]
 pub mod gap;
 pub mod inspect;

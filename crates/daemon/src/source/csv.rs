@@ -18,7 +18,9 @@ pub fn csv_reader<R: Read>(input: R, name: &str) -> Result<Reader<BufReader<R>>,
     let begin = input.fill_buf().map_err(|error| Failure::data(format!("{name}: {error}")))?;
     let header = begin.split(|byte| *byte == b'\n').next().unwrap_or_default();
     let count = |divider: u8| header.iter().filter(|byte| **byte == divider).count();
-    let delimiter = [b'\t', b';'].into_iter().fold(b',', |best, other| if count(other) > count(best) { other } else { best });
+    let delimiter = [b'\t', b';']
+        .into_iter()
+        .fold(b',', |best, other| if count(other) > count(best) { other } else { best });
     Ok(ReaderBuilder::new().flexible(true).trim(csv::Trim::All).delimiter(delimiter).from_reader(input))
 }
 

@@ -196,7 +196,9 @@ pub struct About {
 impl About {
     /// Whether a parameter is when an event begins, or how long it lasts.
     pub fn is_time(&self, parameter: usize) -> bool {
-        self.parameters.get(parameter).is_some_and(|parameter| matches!(parameter.name, "start_s" | "duration_s"))
+        self.parameters
+            .get(parameter)
+            .is_some_and(|parameter| matches!(parameter.name, "start_s" | "duration_s"))
     }
 }
 
