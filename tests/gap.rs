@@ -229,7 +229,7 @@ fn dropped_samples_and_few_cycles_are_told_and_the_rest_is_used() {
 #[test]
 fn another_hydraulic_axis_works_from_its_own_plant_file() {
     let folder = tempfile::tempdir().unwrap();
-    let (log, plant) = (folder.path().join("a.mcap"), fixture("other_press.toml"));
+    let (log, plant) = (folder.path().join("a.mcap"), fixture("large_press.toml"));
     let planted = ["--with", "valve_deadband.half_width=0.03", "--leak-area", "1e-6"];
     simulate(&log, &[&["--cycles", "6", "--plant", text_of(&plant)], &planted[..]].concat());
     let found = diagnose(&log, &["--plant", text_of(&plant)]);
