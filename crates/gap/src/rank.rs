@@ -2,8 +2,8 @@
 //!
 //! Three questions in turn. *Is there a gap that retuning leaves?* Scores decide between the retuned machine and those with effects, and the
 //! retuned gap itself, over what differs from cycle to cycle, says whether anything is left at all. *Does the catalogue explain it?* The
-//! best machine's share of the evidence that retuning leaves: the right cause leaves noise, or, under a somewhat different law, less than half;
-//! a cause that the catalogue lacks is imitated in parts. *Which effect is it?* Scores again.
+//! share that the best machine leaves of what retuning leaves: the right cause leaves noise, or, under a somewhat different law, less than
+//! half; a cause that the catalogue lacks is imitated in parts. *Which effect is it?* Scores again.
 //!
 //! Scores are log-likelihoods of the differences' mean squares by signal, with heavy tails, since the right cause under a slightly different
 //! law leaves a small rest; each free parameter of an effect costs half the logarithm of the number of independent values
@@ -22,10 +22,10 @@ const TEMPER: f64 = 0.25;
 /// Evidence of a gap beyond noise at which "no effect" is as likely as not, whatever the scores say: a signal or two off by somewhat more
 /// than their expected error.
 const EVIDENT: f64 = 1.2;
-/// Share of the evidence at which "none of these" is as likely as not, and the width of the change.
-const HALF_EXPLAINED: (f64, f64) = (0.5, 0.08);
+/// Share that the best machine leaves at which "none of these" is as likely as not, and the width of the change.
+const HALF_EXPLAINED: (f64, f64) = (0.47, 0.06);
 /// What a further effect of a machine adds to that share: two effects imitate more than one.
-const SHARE_OF_ANOTHER: f64 = 0.06;
+const SHARE_OF_ANOTHER: f64 = 0.03;
 
 /// Probabilities that sum to 1.
 #[derive(Debug, Clone, PartialEq)]
@@ -67,11 +67,14 @@ pub fn rank<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, explanations: &[Ex
         |fit: &Fit<A>| (evidence(&problem.by_signal(&fit.residual)) - evidence(&problem.noise)).max(0.0);
     let gap = beyond_noise(retuned);
     let none = weights[0] / sum / (1.0 + (gap / EVIDENT).powi(4));
+    let size = |fit: &Fit<A>| problem.by_signal(&fit.residual).iter().sum::<f64>().sqrt();
     let best = explanations.iter().zip(&weights[1..]).max_by(|a, b| a.1.total_cmp(b.1));
     let left = best.map_or(1.0, |(best, _)| {
-        // Shares of next to nothing say nothing.
-        let share = beyond_noise(&best.fit) / gap.max(0.1 * EVIDENT);
-        share + SHARE_OF_ANOTHER * (best.effects.len() - 1) as f64
+        // Of the evidence, in which small signals count as much as large ones, and of the size, in which a real machine's many small rests
+        // do not outweigh what was explained. Shares of next to nothing say nothing.
+        let of_evidence = beyond_noise(&best.fit) / gap.max(0.1 * EVIDENT);
+        let of_size = if of_evidence > 0.0 { size(&best.fit) / size(retuned) } else { 0.0 };
+        0.5 * (of_evidence + of_size) + SHARE_OF_ANOTHER * (best.effects.len() - 1) as f64
     });
     let unexplained = 1.0 / (1.0 + ((HALF_EXPLAINED.0 - left) / HALF_EXPLAINED.1).exp());
     let with_effects = (sum - weights[0]).max(f64::MIN_POSITIVE);
