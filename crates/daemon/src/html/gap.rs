@@ -23,6 +23,8 @@ pub struct GapPage<'a> {
     pub plant: Option<&'a PlantParameters>,
 }
 
+/// Share of the cycle from which a phase's name has room in a plot.
+const SPAN_WITH_ROOM: f64 = 0.08;
 /// Pressure difference at which leaks are given as flows, Pa.
 const REFERENCE_DP_PA: f64 = 7e6;
 
@@ -149,8 +151,14 @@ impl GapPage<'_> {
         let end = curves.phases.last().map_or(10.0, |phase| phase.2);
         let time = || Axis::linear("time in the cycle, s", 0.0, end);
         let differences = [less(&nominal), less(&retuned), less(&chosen)];
-        let marks =
-            || curves.phases.iter().map(|(name, from, _)| Layer::Mark { at: *from, name: (*name).into() });
+        // A short phase has no room for its name.
+        let named = |from: f64, to: f64| to - from > SPAN_WITH_ROOM * end;
+        let marks = || {
+            curves.phases.iter().map(|(name, from, to)| Layer::Mark {
+                at: *from,
+                name: if named(*from, *to) { (*name).into() } else { String::new() },
+            })
+        };
         let signal = self.diagnosis.signals[index];
         let mut layers: Vec<Layer> = marks().collect();
         layers.extend([
