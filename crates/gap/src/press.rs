@@ -146,9 +146,10 @@ impl Axis for MachineSpec {
         machines
             .par_chunks(LANES)
             .flat_map_iter(|machines| {
-                // Retuning may make a plant stiffer than its file's.
-                let machines: Vec<MachineSpec> =
-                    machines.iter().map(MachineSpec::with_stable_steps).collect();
+                // Retuning and effects may make a plant stiffer than its file's; a batch takes the steps of the stiffest.
+                let steps = machines.iter().map(MachineSpec::stable_steps).max().unwrap_or(1);
+                let mut machines = machines.to_vec();
+                machines.iter_mut().for_each(|machine| machine.controller.steps_per_period = steps);
                 let mut sums = vec![vec![[0.0; LANES]; BINS]; signals.len()];
                 let mut counts = vec![0u32; BINS];
                 follow(&machines, drive, |tick, record| {

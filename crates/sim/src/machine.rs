@@ -90,16 +90,13 @@ pub struct MachineState<T> {
 }
 
 impl<T: Real> Machine<T> {
-    /// Gathers one machine a lane; a shorter slice repeats its last entry. All machines of a batch take the steps in a period of the one
-    /// that needs most: the file's, or more where effects make a plant stiffer.
+    /// Gathers one machine a lane; a shorter slice repeats its last entry. All machines of a batch take the
+    /// number of steps in a period from the first one; see [`MachineSpec::with_stable_steps`].
     pub fn new(specs: &[&MachineSpec]) -> Self {
         let of = |lane: usize| specs[lane.min(specs.len() - 1)];
         let plants: Vec<_> = specs.iter().map(|spec| &spec.plant).collect();
         let controllers: Vec<_> = specs.iter().map(|spec| &spec.controller).collect();
-        let steps_of = |spec: &&MachineSpec| {
-            if spec.effects.is_empty() { spec.controller.steps_per_period } else { spec.stable_steps() }
-        };
-        let steps = specs.iter().map(steps_of).max().unwrap_or(1);
+        let steps = specs[0].controller.steps_per_period;
         let period = T::from_lanes(|lane| of(lane).controller.period_s);
         let laws: Vec<Box<dyn Law<T>>> = effects::ALL
             .iter()

@@ -147,7 +147,8 @@ fn machine(arguments: &SimulateArguments) -> Result<MachineSpec, Failure> {
         spec.set_effect(assignment)
             .map_err(|error| Failure::new(Code::Usage, format!("--with {assignment}: {error}")))?;
     }
-    Ok(spec)
+    // Effects may make the plant stiffer.
+    Ok(spec.with_stable_steps())
 }
 
 fn check(name: &str, value: f64, low: f64, high: f64) -> Result<f64, Failure> {
