@@ -172,7 +172,7 @@ impl<A: Axis> Weighed<A> {
 
     /// The most likely machine with that effect.
     fn best_with(&self, key: &str) -> Option<&Explanation<A>> {
-        self.explanations.iter().map(|(explanation, _)| explanation).find(|explanation| explanation.has(key))
+        self.machines().find(|explanation| explanation.has(key))
     }
 
     /// Effects that, put in the place of one in the most likely machine with it, have the same signature up to its size.

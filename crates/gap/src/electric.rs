@@ -8,8 +8,8 @@ use seepd_sim::effects::{About, Parameter};
 use seepd_sim::electric::{CATALOGUE, ElectricAxis};
 
 use crate::axis::{Axis, Imbalances, Scale, Tunable, Values};
-use crate::record::{BINS, Cycle, bin_of};
-use crate::simulate::View;
+use crate::record::{BINS, Cycle, binned};
+use crate::simulate::{View, bins_of};
 
 /// The drive's force for which the catalogue states its ranges, N.
 const REFERENCE_FORCE_N: f64 = 1e3;
@@ -107,33 +107,27 @@ impl Axis for ElectricAxis {
     }
 
     fn run(machines: &[Self], drive: &[Instant], warm_up: usize, signals: &[Signal]) -> Vec<View> {
-        let ticks = drive.len() - warm_up;
         let view = |machine: &Self| -> View {
-            let mut sums = vec![vec![0.0; BINS]; signals.len()];
-            let mut counts = vec![0u32; BINS];
+            let mut values = vec![Vec::with_capacity(drive.len() - warm_up); signals.len()];
             machine.follow(drive, |tick, record| {
-                let Some(tick) = tick.checked_sub(warm_up) else { return };
-                let bin = bin_of(tick, ticks);
-                counts[bin] += 1;
-                for (signal, sums) in signals.iter().zip(&mut sums) {
-                    sums[bin] += match signal {
+                if tick < warm_up {
+                    return;
+                }
+                for (signal, values) in signals.iter().zip(&mut values) {
+                    values.push(match signal {
                         Signal::Command => record.command,
                         _ => record.position_m,
-                    };
+                    });
                 }
             });
-            let mean = |sums: Vec<f64>| {
-                sums.into_iter().zip(&counts).map(|(sum, count)| sum / f64::from((*count).max(1))).collect()
-            };
-            sums.into_iter().map(mean).collect()
+            values.iter().map(|values| binned(values)).collect()
         };
         machines.par_iter().map(view).collect()
     }
 
     /// The balance of forces, over the drive's full force.
     fn imbalances(&self, signals: &[Signal], view: &View) -> Imbalances {
-        let bins =
-            |signal: Signal| signals.iter().position(|other| *other == signal).map(|index| &view[index]);
+        let bins = |signal: Signal| bins_of(signals, signal, view);
         let (Some(u), Some(x)) = (bins(Signal::Command), bins(Signal::Position)) else { return Vec::new() };
         let dt = self.cycle.period_s / BINS as f64;
         let force = (0..BINS).map(|bin| {

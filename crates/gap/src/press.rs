@@ -11,7 +11,7 @@ use seepd_sim::{DutyCycle, MachineSpec, PlantParameters};
 
 use crate::axis::{Axis, Imbalances, Scale, Tunable, Values};
 use crate::record::{BINS, Cycle, bin_of, correlation};
-use crate::simulate::View;
+use crate::simulate::{View, bins_of};
 
 /// What retuning may change: bounds as factors, and a prior as a standard deviation of the logarithm: 15 % where data sheets are good, a
 /// factor of 2 where they are not.
@@ -196,11 +196,6 @@ fn of(record: &Tick<Lanes>, signal: Signal) -> Lanes {
         Signal::PRod => record.p_rod,
         Signal::Load | Signal::CycleStart => record.load,
     }
-}
-
-/// A signal's bins, if it is there.
-fn bins_of<'v>(signals: &[Signal], signal: Signal, view: &'v View) -> Option<&'v Vec<f64>> {
-    signals.iter().position(|other| *other == signal).map(|index| &view[index])
 }
 
 fn imbalances(spec: &MachineSpec, signals: &[Signal], view: &View) -> Imbalances {

@@ -4,6 +4,7 @@ use seepd_signals::Signal;
 use seepd_sim::cycle::Instant;
 
 use crate::axis::Axis;
+use crate::simulate::bins_of;
 
 /// Bins of a cycle in which signals are compared: 20 ms of the default duty cycle.
 pub const BINS: usize = 500;
@@ -233,13 +234,10 @@ fn of_another_kind(cycles: &[Cycle], range: &[f64]) -> Vec<usize> {
 
 /// Whether signals go together as they do on any such axis.
 fn plausible<A: Axis>(signals: &[Signal], cycles: &[Cycle], spec: &A) -> Result<(), RecordError> {
-    let bins = |signal: Signal| {
-        signals.iter().position(|other| *other == signal).map(|index| &cycles[0].bins[index])
-    };
     if let Some(what) = spec.contradiction(signals, &cycles[0]) {
         return Err(RecordError::Mismatch(what));
     }
-    let Some(x) = bins(Signal::Position) else { return Ok(()) };
+    let Some(x) = bins_of(signals, Signal::Position, &cycles[0].bins) else { return Ok(()) };
     let ticks = cycles[0].drive.len();
     let demand: Vec<f64> = (0..BINS).map(|bin| cycles[0].drive[bin * ticks / BINS].demand_m).collect();
     // The position follows by up to a twentieth of the cycle.
@@ -409,7 +407,7 @@ fn bridged(values: &[f64]) -> Option<Vec<f64>> {
 }
 
 /// Means over bins.
-fn binned(values: &[f64]) -> Vec<f64> {
+pub(crate) fn binned(values: &[f64]) -> Vec<f64> {
     let mut sums = vec![(0.0, 0u32); BINS];
     for (tick, value) in values.iter().enumerate() {
         let bin = &mut sums[bin_of(tick, values.len())];

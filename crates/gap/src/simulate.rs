@@ -8,6 +8,11 @@ use crate::axis::Axis;
 /// What a machine shows: mean of each signal in each bin.
 pub type View = Vec<Vec<f64>>;
 
+/// A signal's bins, if it is among the signals of the view.
+pub(crate) fn bins_of<'v>(signals: &[Signal], signal: Signal, view: &'v View) -> Option<&'v Vec<f64>> {
+    signals.iter().position(|other| *other == signal).map(|index| &view[index])
+}
+
 /// Simulates each machine over the drive, after a warm-up with the end of the same drive, and bins its signals. A simulation that goes
 /// out of bounds shows NaN.
 pub fn views<A: Axis>(machines: &[A], drive: &[Instant], signals: &[Signal]) -> Vec<View> {

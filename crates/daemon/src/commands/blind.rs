@@ -20,6 +20,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use super::gap::{answer, emitted, pool, read};
+use super::simulate::{OtherSignals, SignalsMessage, write_message};
 use crate::cli::Outcome;
 use crate::config::Config;
 use crate::failure::{Code, Failure};
@@ -201,19 +202,6 @@ fn plant(arguments: &PlantArguments) -> Result<Outcome, Failure> {
     Ok(Outcome::Good)
 }
 
-/// A message of the planted logs.
-#[derive(Serialize)]
-struct Message {
-    command: f64,
-    demand: f64,
-    position: f64,
-    p_supply: f64,
-    p_inlet: f64,
-    p_cap: f64,
-    p_rod: f64,
-    load: f64,
-}
-
 /// Standard deviations of the sensors' noise: command as a share, position in m, pressures in Pa (0.1 % of 200 bar), load in N.
 const NOISE: (f64, f64, f64, f64) = (1e-3, 1e-5, 2e4, 20.0);
 
@@ -230,8 +218,8 @@ fn write_case(path: &Path, case: &Case, cycles: usize) -> Result<(), Failure> {
     let finite = press.run(cycles, variation, |sample| {
         let mut pressure = |index: usize| (sample.pressures_pa[index] + noise.normal(NOISE.2)).round();
         let (p_supply, p_inlet, p_cap, p_rod) = (pressure(0), pressure(1), pressure(2), pressure(3));
-        let message = Message {
-            command: rounded(sample.command + noise.normal(NOISE.0)),
+        let command = rounded(sample.command + noise.normal(NOISE.0));
+        let others = OtherSignals {
             demand: rounded(sample.demand_m),
             position: rounded(sample.position_m + noise.normal(NOISE.1)),
             p_supply,
@@ -240,10 +228,8 @@ fn write_case(path: &Path, case: &Case, cycles: usize) -> Result<(), Failure> {
             p_rod,
             load: (sample.load_n + noise.normal(NOISE.3)).round(),
         };
-        line.clear();
-        let written = serde_json::to_writer(&mut line, &message)
-            .map_err(|error| mcap::McapError::Io(error.into()))
-            .and_then(|()| sink.write(channel, tick * 1_000_000, &line));
+        let message = SignalsMessage { command, others: Some(others) };
+        let written = write_message(&mut sink, channel, tick * 1_000_000, &mut line, &message);
         if let Err(error) = written {
             result = Err(error);
         }

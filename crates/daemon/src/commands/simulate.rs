@@ -212,21 +212,21 @@ fn parse_step(text: &str) -> Result<(f64, usize), Failure> {
 
 /// A message of `/axis/signals`. Pressures to 1 Pa, the rest to 1e-8, far below what a sensor tells.
 #[derive(Serialize)]
-struct SignalsMessage {
-    command: f64,
+pub(super) struct SignalsMessage {
+    pub(super) command: f64,
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
-    others: Option<OtherSignals>,
+    pub(super) others: Option<OtherSignals>,
 }
 
 #[derive(Serialize)]
-struct OtherSignals {
-    demand: f64,
-    position: f64,
-    p_supply: f64,
-    p_inlet: f64,
-    p_cap: f64,
-    p_rod: f64,
-    load: f64,
+pub(super) struct OtherSignals {
+    pub(super) demand: f64,
+    pub(super) position: f64,
+    pub(super) p_supply: f64,
+    pub(super) p_inlet: f64,
+    pub(super) p_cap: f64,
+    pub(super) p_rod: f64,
+    pub(super) load: f64,
 }
 
 /// A message of `/axis/truth`.
@@ -319,7 +319,7 @@ pub fn write_log(
     Ok(())
 }
 
-fn write_message(
+pub(super) fn write_message(
     sink: &mut McapSink<BufWriter<File>>,
     channel: u16,
     time_ns: i64,
