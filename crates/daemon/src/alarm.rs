@@ -150,7 +150,69 @@ impl Default for Alarm {
     }
 }
 
+/// What of an alarm outlives the program.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AlarmState {
+    level: Flag,
+    /// Whether there was an estimate.
+    estimated: bool,
+    highest: Flag,
+    above: [Run; 3],
+    below: [Run; 3],
+    rejected: u32,
+}
+
+impl From<AlarmState> for Alarm {
+    /// As it was; where there was no estimate, there is none until a cycle comes.
+    fn from(state: AlarmState) -> Self {
+        let AlarmState { level, estimated, highest, above, below, rejected } = state;
+        let reason = (!estimated).then_some("no_cycle_yet");
+        Alarm { level: level.max(Flag::Healthy), reason, highest, above, below, rejected }
+    }
+}
+
+impl From<&Alarm> for AlarmState {
+    fn from(alarm: &Alarm) -> Self {
+        let Alarm { level, reason, highest, above, below, rejected } = *alarm;
+        AlarmState { level, estimated: reason.is_none(), highest, above, below, rejected }
+    }
+}
+
+/// The highest flag since it was last acknowledged: a leak that comes and goes overnight is still told in the morning.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Latch {
+    /// The flag that is kept: watch, leak or severe.
+    pub latched: Option<Flag>,
+    /// Whether somebody has taken note of it.
+    pub acknowledged: bool,
+}
+
+impl Latch {
+    /// Takes the leak's level after a cycle.
+    pub fn take(&mut self, level: Flag) {
+        if level >= Flag::Watch && Some(level) > self.latched {
+            *self = Latch { latched: Some(level), acknowledged: false };
+        } else if self.acknowledged {
+            self.latched = (level >= Flag::Watch).then_some(level);
+            self.acknowledged = self.latched.is_some();
+        }
+    }
+
+    /// Somebody has taken note; what has passed is forgotten. `false` where there was nothing to take note of.
+    pub fn acknowledge(&mut self, level: Flag) -> bool {
+        let news = self.latched.is_some() && !self.acknowledged;
+        self.acknowledged = self.latched.is_some();
+        self.take(level);
+        news
+    }
+}
+
 impl Alarm {
+    /// The leak's level, kept while there is no estimate.
+    pub fn level(&self) -> Flag {
+        self.level
+    }
+
     /// The flag now.
     pub fn flag(&self) -> Flag {
         if self.reason.is_some() { Flag::NoEstimate } else { self.level }
@@ -281,6 +343,39 @@ mod tests {
         let (alarm, changes) = run(&[4.0, 4.0, 4.0, 0.4, 0.4, 0.4, 0.4, 0.4]);
         assert_eq!(changes.last(), Some(&(7, Flag::Severe, Flag::Watch)));
         assert_eq!(alarm.highest(), Flag::Severe);
+    }
+
+    #[test]
+    fn a_latch_keeps_what_came_and_went_until_it_is_acknowledged() {
+        let mut latch = Latch::default();
+        assert!(!latch.acknowledge(Flag::Healthy));
+        latch.take(Flag::Leak);
+        latch.take(Flag::Watch);
+        latch.take(Flag::Healthy);
+        assert_eq!(latch, Latch { latched: Some(Flag::Leak), acknowledged: false });
+        assert!(latch.acknowledge(Flag::Healthy));
+        assert_eq!(latch, Latch::default());
+        latch.take(Flag::Leak);
+        assert!(latch.acknowledge(Flag::Leak));
+        assert!(!latch.acknowledge(Flag::Leak));
+        assert_eq!(latch, Latch { latched: Some(Flag::Leak), acknowledged: true });
+        latch.take(Flag::Severe);
+        assert_eq!(latch, Latch { latched: Some(Flag::Severe), acknowledged: false });
+        latch.acknowledge(Flag::Severe);
+        latch.take(Flag::Watch);
+        assert_eq!(latch, Latch { latched: Some(Flag::Watch), acknowledged: true });
+        latch.take(Flag::Healthy);
+        assert_eq!(latch, Latch::default());
+    }
+
+    #[test]
+    fn an_alarm_comes_back_as_it_was() {
+        let (alarm, _) = run(&[0.7, 0.7, 0.7, 5.0, 5.0]);
+        let text = serde_json::to_string(&AlarmState::from(&alarm)).unwrap();
+        let mut back = Alarm::from(serde_json::from_str::<AlarmState>(&text).unwrap());
+        assert_eq!(back, alarm);
+        let change = back.estimated(&AlarmConfig::default(), 5.0).unwrap();
+        assert_eq!((change.from, change.to), (Flag::Leak, Flag::Severe));
     }
 
     #[test]

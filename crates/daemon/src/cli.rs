@@ -38,6 +38,9 @@ enum Command {
     Study(commands::study::StudyArguments),
     /// Read logs (MCAP, CSV, candump): leak by cycle, flags, summary
     Replay(commands::replay::ReplayArguments),
+    /// Watch axes live: CAN in; leakage, flags and a dashboard out
+    #[cfg(feature = "live")]
+    Run(commands::run::RunArguments),
     /// Say where simulator and machine part, and which effect causes it
     #[cfg(feature = "gap")]
     Gap(commands::gap::GapArguments),
@@ -72,6 +75,8 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "study")]
         Command::Study(arguments) => commands::study::run(arguments),
         Command::Replay(arguments) => commands::replay::run(arguments),
+        #[cfg(feature = "live")]
+        Command::Run(arguments) => commands::run::run(arguments),
         #[cfg(feature = "gap")]
         Command::Gap(arguments) => commands::gap::run(arguments),
         Command::Inspect(arguments) => commands::inspect::run(arguments),

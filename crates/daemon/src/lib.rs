@@ -11,6 +11,8 @@ pub mod config;
 pub mod event;
 pub mod failure;
 pub mod html;
+#[cfg(feature = "live")]
+pub mod live;
 pub mod pipeline;
 mod progress;
 pub mod sink;

@@ -108,6 +108,24 @@ impl<'m> Pipeline<'m> {
         }
     }
 
+    /// The input has gone; what was under way is kept, in case it comes back.
+    pub fn stale(&mut self, sink: &mut impl FnMut(&Event<'_>)) {
+        let progress = &mut self.progress;
+        if let Some(change) = progress.alarm.lost("stale") {
+            sink(&progress.flag_event(&self.config, change, progress.newest_ns));
+        }
+    }
+
+    /// Takes the alarm up where an earlier run left it.
+    pub fn restore(&mut self, alarm: Alarm) {
+        self.progress.alarm = alarm;
+    }
+
+    /// The alarm.
+    pub fn alarm(&self) -> &Alarm {
+        &self.progress.alarm
+    }
+
     /// Why there have been no cycles for long.
     fn silence_reason(&self) -> &'static str {
         let counts = self.state.counts();

@@ -1,20 +1,26 @@
 //! Where a number is in a frame's data, and how it becomes a physical value.
 
+use serde::{Deserialize, Serialize};
+
 use super::MOST_BYTES;
 
 /// How a field's bits are numbered.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum ByteOrder {
     /// Intel: the first bit is the lowest, higher bits follow in higher bytes.
+    #[default]
     LittleEndian,
     /// Motorola: the first bit is the highest, lower bits follow in higher bytes.
     BigEndian,
 }
 
 /// What the bits stand for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Encoding {
     /// An integer from 0.
+    #[default]
     Unsigned,
     /// An integer in two's complement.
     Signed,
@@ -99,6 +105,48 @@ impl BitField {
         Some((wide & ((1u128 << self.bits) - 1)) as u64)
     }
 
+    /// Size, bits.
+    pub fn bits(&self) -> usize {
+        self.bits
+    }
+
+    /// Writes the field's bits into `data` and leaves all others; `false`, and nothing written, where it is too short.
+    pub fn write_raw(&self, data: &mut [u8], raw: u64) -> bool {
+        let first = self.first();
+        let Some(bytes) = data.get_mut(first / 8..self.least_bytes()) else { return false };
+        let (skipped, all) = (first % 8, 8 * bytes.len());
+        let mask = (1u128 << self.bits) - 1;
+        let shift = match self.order {
+            ByteOrder::LittleEndian => skipped,
+            ByteOrder::BigEndian => all - skipped - self.bits,
+        };
+        let (value, mask) = ((u128::from(raw) & mask) << shift, mask << shift);
+        for (index, byte) in bytes.iter_mut().enumerate() {
+            let place = match self.order {
+                ByteOrder::LittleEndian => 8 * index,
+                ByteOrder::BigEndian => all - 8 - 8 * index,
+            };
+            *byte = (*byte & !((mask >> place) as u8)) | (value >> place) as u8;
+        }
+        true
+    }
+
+    /// Writes a physical value, rounded, and held to what the bits can say; `false` where `data` is too short.
+    pub fn write(&self, data: &mut [u8], value: f64) -> bool {
+        let number = (value - self.offset) / self.factor;
+        let raw = match self.encoding {
+            // Float to integer casts saturate, and make 0 of what is no number.
+            Encoding::Unsigned => (number.round() as u64).min(u64::MAX >> (64 - self.bits)),
+            Encoding::Signed => {
+                let most = i64::MAX >> (64 - self.bits);
+                (number.round() as i64).clamp(-most - 1, most) as u64
+            }
+            Encoding::Float32 => u64::from((number as f32).to_bits()),
+            Encoding::Float64 => number.to_bits(),
+        };
+        self.write_raw(data, raw)
+    }
+
     /// The physical value; `None` for a frame that is too short.
     pub fn value(&self, data: &[u8]) -> Option<f64> {
         let raw = self.raw(data)?;
@@ -158,6 +206,43 @@ mod tests {
                 prop_assert_eq!(field.raw(&data), raw_by_bits(&data, start_bit, bits, order));
             }
         }
+    }
+
+    proptest! {
+        #[test]
+        fn property_what_is_written_is_read_and_the_rest_stays(
+            data in prop::collection::vec(any::<u8>(), 64..=64),
+            start_bit in 0usize..512,
+            bits in 1usize..=64,
+            raw in any::<u64>(),
+            little in any::<bool>(),
+        ) {
+            let order = if little { ByteOrder::LittleEndian } else { ByteOrder::BigEndian };
+            if let Ok(field) = BitField::new(start_bit, bits, order, Encoding::Unsigned, 1.0, 0.0) {
+                let mut written = data.clone();
+                prop_assert!(field.write_raw(&mut written, raw));
+                prop_assert_eq!(field.raw(&written), Some(raw & (u64::MAX >> (64 - bits))));
+                let before = field.raw(&data).unwrap_or_default();
+                prop_assert!(field.write_raw(&mut written, before));
+                prop_assert_eq!(written, data);
+            }
+        }
+    }
+
+    #[test]
+    fn values_are_held_to_what_the_bits_can_say() {
+        let tenth = |encoding| BitField::new(0, 8, ByteOrder::LittleEndian, encoding, 0.1, 0.0).unwrap();
+        let round_trip = |encoding, value| {
+            let mut data = [0u8; 1];
+            assert!(tenth(encoding).write(&mut data, value));
+            tenth(encoding).raw(&data).unwrap()
+        };
+        assert_eq!(round_trip(Encoding::Unsigned, 1.26), 13);
+        assert_eq!(round_trip(Encoding::Unsigned, -1.0), 0);
+        assert_eq!(round_trip(Encoding::Unsigned, 1e9), 255);
+        assert_eq!(round_trip(Encoding::Signed, -1e9), 0x80);
+        assert_eq!(round_trip(Encoding::Signed, f64::NAN), 0);
+        assert!(!tenth(Encoding::Unsigned).write(&mut [], 1.0));
     }
 
     #[test]

@@ -20,7 +20,7 @@ pub struct CanSignal {
     pub name: String,
     /// Frame that carries it.
     pub identifier: Identifier,
-    field: BitField,
+    pub(super) field: BitField,
     /// All must hold for the frame to carry the signal.
     selectors: Vec<Selector>,
 }
@@ -44,6 +44,11 @@ pub enum Reading {
 }
 
 impl CanSignal {
+    /// A signal at a place of its own, without a file that names it.
+    pub fn at(name: &str, identifier: Identifier, field: BitField) -> Self {
+        CanSignal { name: name.into(), identifier, field, selectors: Vec::new() }
+    }
+
     /// Reads the signal.
     pub fn read(&self, frame: &Frame) -> Reading {
         if frame.identifier != self.identifier || frame.content != Content::Data {

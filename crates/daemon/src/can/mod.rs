@@ -3,6 +3,8 @@
 pub mod bit_field;
 pub mod candump;
 pub mod dbc;
+pub mod decode;
+pub mod linux;
 
 use std::fmt;
 

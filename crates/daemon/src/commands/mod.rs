@@ -9,6 +9,8 @@ pub mod demo;
 pub mod gap;
 pub mod inspect;
 pub mod replay;
+#[cfg(feature = "live")]
+pub mod run;
 pub mod shell;
 #[cfg(feature = "simulate")]
 pub mod simulate;

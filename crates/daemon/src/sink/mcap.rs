@@ -52,6 +52,30 @@ impl<W: Write + Seek> McapSink<W> {
         Ok(McapSink { writer: options.create(out)?, sequence: BTreeMap::new() })
     }
 
+    /// Begins a file that may be cut short at any moment: whole chunks, which [`flush`](Self::flush) closes.
+    ///
+    /// # Errors
+    /// Writing failed.
+    #[cfg(feature = "live")]
+    pub fn new_for_recording(out: W) -> Result<Self, McapError> {
+        let options = WriteOptions::new()
+            .profile("")
+            .library(LIBRARY)
+            .compression(Some(Compression::Lz4))
+            .disable_seeking(true)
+            .chunk_size(Some(CHUNK_BYTES));
+        Ok(McapSink { writer: options.create(out)?, sequence: BTreeMap::new() })
+    }
+
+    /// Closes the open chunk and hands it to the system.
+    ///
+    /// # Errors
+    /// Writing failed.
+    #[cfg(feature = "live")]
+    pub fn flush(&mut self) -> Result<(), McapError> {
+        self.writer.flush()
+    }
+
     /// Adds a channel of JSON messages; the schema is a JSON schema.
     ///
     /// # Errors
@@ -108,6 +132,9 @@ impl<W: Write + Seek> McapSink<W> {
 pub mod schema {
     /// `/axis/signals`.
     pub const SIGNALS: &str = r#"{"title":"seepd.Signals","type":"object","properties":{"command":{"type":"number"},"demand":{"type":"number"},"position":{"type":"number"},"p_supply":{"type":"number"},"p_inlet":{"type":"number"},"p_cap":{"type":"number"},"p_rod":{"type":"number"},"load":{"type":"number"},"cycle_start":{"type":"number"}}}"#;
+    /// Any JSON object.
+    #[cfg(feature = "live")]
+    pub const ANY: &str = r#"{"type":"object"}"#;
     /// `/axis/truth`.
     pub const TRUTH: &str = r#"{"title":"seepd.Truth","type":"object","properties":{"leak_area":{"type":"number"},"leak_flow":{"type":"number"}}}"#;
     /// `/axis/leakage`.

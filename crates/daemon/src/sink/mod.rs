@@ -1,7 +1,17 @@
 //! Where events go: each file turns an event into the bytes of one format.
 
+#[cfg(feature = "live")]
+pub mod can;
 pub mod csv;
 pub mod html;
+#[cfg(feature = "live")]
+pub mod http;
 pub mod json;
 pub mod mcap;
+#[cfg(feature = "live")]
+pub mod mqtt;
+#[cfg(feature = "live")]
+pub mod prometheus;
+#[cfg(feature = "live")]
+pub mod recording;
 pub mod terminal;

@@ -6,9 +6,13 @@ pub mod decode;
 pub mod fields;
 pub mod guess;
 pub mod kind;
+#[cfg(feature = "live")]
+pub mod live;
 pub mod mcap;
 pub mod mcap_file;
 pub mod ros;
+#[cfg(feature = "live")]
+pub mod socketcan;
 pub mod survey;
 
 use std::fs::File;
@@ -19,6 +23,7 @@ use indicatif::ProgressBar;
 use seepd_signals::Sample;
 
 use crate::can::dbc::Dbc;
+use crate::can::decode::FrameDecoder;
 use crate::config::Config;
 use crate::failure::{Code, Failure};
 use kind::{HEAD_BYTES, LogKind};
@@ -39,7 +44,7 @@ pub trait Source {
 ///
 /// # Errors
 /// [`Failure`] where there is no such file, it is empty, or it is of no kind that is read.
-pub fn open(path: &Path, config: &Config) -> Result<Box<dyn Source>, Failure> {
+pub fn open(path: &Path, config: &Config) -> Result<Box<dyn Source + Send>, Failure> {
     open_with(path, config, &ProgressBar::hidden())
 }
 
@@ -47,7 +52,7 @@ pub fn open(path: &Path, config: &Config) -> Result<Box<dyn Source>, Failure> {
 ///
 /// # Errors
 /// As [`open`].
-pub fn open_with(path: &Path, config: &Config, bar: &ProgressBar) -> Result<Box<dyn Source>, Failure> {
+pub fn open_with(path: &Path, config: &Config, bar: &ProgressBar) -> Result<Box<dyn Source + Send>, Failure> {
     if path == Path::new("-") {
         return open_standard_input(config);
     }
@@ -67,7 +72,7 @@ pub fn open_with(path: &Path, config: &Config, bar: &ProgressBar) -> Result<Box<
     }
 }
 
-fn open_standard_input(config: &Config) -> Result<Box<dyn Source>, Failure> {
+fn open_standard_input(config: &Config) -> Result<Box<dyn Source + Send>, Failure> {
     let name = "standard input";
     let mut input = BufReader::new(std::io::stdin());
     let head = input.fill_buf().map_err(|error| Failure::new(Code::Io, format!("{name}: {error}")))?;
@@ -79,16 +84,29 @@ fn open_standard_input(config: &Config) -> Result<Box<dyn Source>, Failure> {
     }
 }
 
+/// What reads a bus's frames by the mapping.
+///
+/// # Errors
+/// [`Failure`] where the DBC file cannot be read, or nothing says where a mapped signal is.
+pub fn frame_decoder(config: &Config) -> Result<FrameDecoder, Failure> {
+    let dbc = config.dbc.as_deref().map(Dbc::read).transpose()?;
+    FrameDecoder::new(config.mapping(), config.source.counter.as_ref(), dbc.as_ref())
+        .map_err(|message| Failure::new(Code::Configuration, message))
+}
+
 fn open_text(
     kind: LogKind,
-    input: impl Read + 'static,
+    input: impl Read + Send + 'static,
     name: &str,
     config: &Config,
-) -> Result<Box<dyn Source>, Failure> {
+) -> Result<Box<dyn Source + Send>, Failure> {
     let mapping = config.mapping();
     if kind == LogKind::Candump {
-        let dbc = config.dbc.as_deref().map(Dbc::read).transpose()?;
-        return Ok(Box::new(candump::CandumpSource::new(input, name, mapping, dbc.as_ref())?));
+        let decoder = frame_decoder(config).map_err(|failure| match &config.dbc {
+            Some(_) => failure,
+            None => Failure::new(failure.code, format!("{name}: is a CAN log; {}", failure.message)),
+        })?;
+        return Ok(Box::new(candump::CandumpSource::new(input, name, decoder)));
     }
     Ok(Box::new(csv::CsvSource::new(input, name, mapping, &config.time_column)?))
 }

@@ -1,4 +1,6 @@
-//! `seepd.toml`: where the signals are, which model, when to raise an alarm.
+//! `seepd.toml`: where the signals are, which model, when to raise an alarm; for the daemon, sources and sinks too.
+
+mod live;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -11,6 +13,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::alarm::AlarmConfig;
 use crate::failure::{Code, Failure};
+
+pub use live::{
+    BitsMapping, CanOutConfig, CanOutField, CanValue, CounterMapping, HttpConfig, MqttConfig, MqttVersion,
+    Pace, RecordingConfig, SourceConfig, identifier,
+};
 
 /// The content of `seepd.toml`; every key has a default.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -32,6 +39,20 @@ pub struct Config {
     pub signals: BTreeMap<Signal, SignalMapping>,
     /// Thresholds.
     pub alarm: AlarmConfig,
+    /// Where live samples come from.
+    pub source: SourceConfig,
+    /// Several axes: each with the keys above. Those at the file's top are then left out.
+    pub axes: Vec<Config>,
+    /// Folder for what outlives the daemon; absent: the service's, or `seepd-state`.
+    pub state_dir: Option<PathBuf>,
+    /// Dashboard, JSON, metrics, health.
+    pub http: Option<HttpConfig>,
+    /// A broker.
+    pub mqtt: Option<MqttConfig>,
+    /// Frames that tell the axes' conditions.
+    pub can_out: Vec<CanOutConfig>,
+    /// MCAP files of what came in and what was said.
+    pub recording: Option<RecordingConfig>,
     /// What the command line says on top.
     #[serde(skip)]
     pub selection: Selection,
@@ -62,6 +83,8 @@ pub struct SignalMapping {
     /// Path of a field with the time in seconds, or of a stamp with seconds and nanoseconds; empty: the message's log
     /// time.
     pub time: String,
+    /// Where the field is in a CAN frame, where no DBC file says so.
+    pub bits: Option<BitsMapping>,
 }
 
 impl Default for Config {
@@ -75,6 +98,13 @@ impl Default for Config {
             dbc: None,
             signals: BTreeMap::new(),
             alarm: AlarmConfig::default(),
+            source: SourceConfig::default(),
+            axes: Vec::new(),
+            state_dir: None,
+            http: None,
+            mqtt: None,
+            can_out: Vec::new(),
+            recording: None,
             selection: Selection::default(),
         }
     }
@@ -88,6 +118,7 @@ impl Default for SignalMapping {
             scale: 1.0,
             offset: 0.0,
             time: String::new(),
+            bits: None,
         }
     }
 }
@@ -108,8 +139,7 @@ impl Config {
         let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
         let mut config = Self::parse(&text).map_err(|message| Failure::configuration(path, message))?;
         if let Some(folder) = path.parent() {
-            config.model = config.model.map(|model| folder.join(model));
-            config.dbc = config.dbc.map(|dbc| folder.join(dbc));
+            config.resolve(folder);
         }
         Ok(config)
     }
@@ -132,7 +162,39 @@ impl Config {
                 config.operating_hours_per_year
             ));
         }
-        for (signal, mapping) in &config.signals {
+        config.check_axes()?;
+        live::check_sinks(&config)?;
+        Ok(config)
+    }
+
+    fn check_axes(&self) -> Result<(), String> {
+        for axis in &self.axes {
+            if axis.sinks() != Config::default().sinks() || !axis.axes.is_empty() {
+                let name = &axis.axis;
+                return Err(format!(
+                    "axes: {name} has sinks or axes of its own; these stand at the file's top"
+                ));
+            }
+        }
+        let top = Config { axes: Vec::new(), ..self.clone().without_sinks() };
+        if !self.axes.is_empty() && top != Config::default() {
+            return Err(
+                "the file describes one axis at its top and others in [[axes]]; move the former there".into(),
+            );
+        }
+        let mut names: Vec<&str> = self.axes().iter().map(|axis| axis.axis.as_str()).collect();
+        names.sort_unstable();
+        if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+            return Err(format!("two axes are called `{}`", twice[0]));
+        }
+        self.axes().iter().try_for_each(|axis| axis.check_axis())
+    }
+
+    fn check_axis(&self) -> Result<(), String> {
+        if self.axis.is_empty() || self.axis.contains(['/', '#', '+', '\0', '"', '\\']) {
+            return Err(format!("axis is `{}`; names have no / # + \" \\ and are not empty", self.axis));
+        }
+        for (signal, mapping) in &self.signals {
             if !mapping.scale.is_finite() || mapping.scale == 0.0 || !mapping.offset.is_finite() {
                 return Err(format!(
                     "signals.{}: scale must be finite and not 0, offset finite",
@@ -140,8 +202,54 @@ impl Config {
                 ));
             }
         }
-        config.alarm.check()?;
-        Ok(config)
+        self.source.check()?;
+        self.alarm.check()
+    }
+
+    /// The axes: those of `axes`, or the one at the file's top.
+    pub fn axes(&self) -> &[Config] {
+        if self.axes.is_empty() { std::slice::from_ref(self) } else { &self.axes }
+    }
+
+    #[expect(clippy::type_complexity, reason = "compared, and nothing else")]
+    fn sinks(
+        &self,
+    ) -> (
+        &Option<PathBuf>,
+        &Option<HttpConfig>,
+        &Option<MqttConfig>,
+        &Vec<CanOutConfig>,
+        &Option<RecordingConfig>,
+    ) {
+        (&self.state_dir, &self.http, &self.mqtt, &self.can_out, &self.recording)
+    }
+
+    /// The same without the tables that an axis does not have.
+    #[must_use]
+    pub fn without_sinks(self) -> Self {
+        Config { state_dir: None, http: None, mqtt: None, can_out: Vec::new(), recording: None, ..self }
+    }
+
+    /// Takes paths as relative to the folder of the file; `-` is none.
+    fn resolve(&mut self, folder: &Path) {
+        let place = |path: &mut PathBuf| *path = folder.join(&path);
+        self.model.iter_mut().for_each(place);
+        self.dbc.iter_mut().for_each(place);
+        self.state_dir.iter_mut().for_each(place);
+        self.source.log.iter_mut().filter(|log| *log != Path::new("-")).for_each(place);
+        if let Some(http) = &mut self.http {
+            http.token_file.iter_mut().for_each(credential(folder));
+        }
+        if let Some(mqtt) = &mut self.mqtt {
+            place(&mut mqtt.ca_file);
+            mqtt.password_file.iter_mut().for_each(credential(folder));
+            mqtt.certificate_file.iter_mut().for_each(credential(folder));
+            mqtt.key_file.iter_mut().for_each(credential(folder));
+        }
+        if let Some(recording) = &mut self.recording {
+            recording.folder.iter_mut().for_each(place);
+        }
+        self.axes.iter_mut().for_each(|axis| axis.resolve(folder));
     }
 
     /// The mapping in force: the given one, with names filled in and the selection on top.
@@ -176,6 +284,16 @@ impl Config {
                 Failure::new(Code::Internal, format!("the model that the program brings: {error}"))
             }),
         }
+    }
+}
+
+/// Where a secret is: with the service's credentials where systemd has put one of that name there, else relative to the
+/// configuration.
+fn credential(folder: &Path) -> impl Fn(&mut PathBuf) {
+    let credentials = std::env::var_os("CREDENTIALS_DIRECTORY").map(PathBuf::from);
+    move |path| {
+        let given = credentials.as_ref().map(|credentials| credentials.join(&path));
+        *path = given.filter(|given| given.exists()).unwrap_or_else(|| folder.join(&path));
     }
 }
 

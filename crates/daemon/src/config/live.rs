@@ -1,0 +1,454 @@
+//! The tables of `seepd.toml` that the live daemon reads: source, state, sinks.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+use crate::can::Identifier;
+use crate::can::bit_field::{BitField, ByteOrder, Encoding};
+
+/// Where a field is in a CAN frame, where no DBC file says so.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BitsMapping {
+    /// Identifier of the frame.
+    pub id: u32,
+    /// Whether the identifier has 29 bits; absent: where it does not fit 11.
+    pub extended: Option<bool>,
+    /// First bit: 8 b + i is bit i of byte b, 0 being a byte's lowest; in big-endian fields the highest bit's.
+    pub start: usize,
+    /// Size, bits.
+    pub length: usize,
+    /// `little_endian` (Intel) or `big_endian` (Motorola).
+    #[serde(default)]
+    pub order: ByteOrder,
+    /// `unsigned`, `signed`, `float32` or `float64`.
+    #[serde(default)]
+    pub encoding: Encoding,
+}
+
+impl BitsMapping {
+    /// The frame's identifier.
+    ///
+    /// # Errors
+    /// It is none of CAN.
+    pub fn identifier(&self) -> Result<Identifier, String> {
+        identifier(self.id, self.extended)
+    }
+}
+
+/// An identifier of 11 or 29 bits.
+///
+/// # Errors
+/// It is none of CAN.
+pub fn identifier(id: u32, extended: Option<bool>) -> Result<Identifier, String> {
+    match (extended.unwrap_or(id > 0x7ff), id) {
+        (false, 0..=0x7ff) => Ok(Identifier::Standard(id as u16)),
+        (true, 0..=0x1fff_ffff) => Ok(Identifier::Extended(id)),
+        (false, _) => Err(format!("the identifier {id:#x} has more than 11 bits; set extended = true")),
+        (true, _) => Err(format!("the identifier {id:#x} has more than 29 bits")),
+    }
+}
+
+/// A counter that the sender raises by one from frame to frame.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CounterMapping {
+    /// A DBC file's signal.
+    pub field: String,
+    /// Where it is, without a DBC file.
+    pub bits: Option<BitsMapping>,
+}
+
+/// How fast a log is fed to the daemon.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Pace {
+    /// As it was recorded.
+    #[default]
+    Recorded,
+    /// As fast as it can be read.
+    Fast,
+}
+
+/// `[source]`: where an axis's samples come from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SourceConfig {
+    /// CAN interface, such as `can0`; `unix:PATH` binds a Unix datagram socket that takes frames as Linux lays them out.
+    pub can: Option<String>,
+    /// Log instead (MCAP, CSV, candump), relative to this file; `-` reads a text from standard input.
+    pub log: Option<PathBuf>,
+    /// Pace of a log.
+    pub pace: Pace,
+    /// Time without a usable sample after which the input is stale, s.
+    pub stale_after_s: f64,
+    /// Counter of the command's frame, by which lost frames are told.
+    pub counter: Option<CounterMapping>,
+    /// Size of the socket's receive buffer that is asked for, bytes; the system's net.core.rmem_max caps it.
+    pub receive_buffer_bytes: usize,
+}
+
+impl Default for SourceConfig {
+    fn default() -> Self {
+        SourceConfig {
+            can: None,
+            log: None,
+            pace: Pace::Recorded,
+            stale_after_s: 2.0,
+            counter: None,
+            receive_buffer_bytes: 4 << 20,
+        }
+    }
+}
+
+impl SourceConfig {
+    /// Checks the values.
+    ///
+    /// # Errors
+    /// One line that names the key.
+    pub fn check(&self) -> Result<(), String> {
+        if self.can.is_some() && self.log.is_some() {
+            return Err("source: has both `can` and `log`; an axis has one source".into());
+        }
+        if !(0.1..=3600.0).contains(&self.stale_after_s) {
+            return Err(format!("source.stale_after_s is {}; it must lie in 0.1 … 3600", self.stale_after_s));
+        }
+        if let Some(interface) = self.can.as_deref().filter(|name| !name.starts_with("unix:"))
+            && (interface.is_empty() || interface.len() > 15 || interface.contains(['/', ' ']))
+        {
+            return Err(format!("source.can is `{interface}`, which is no interface's name"));
+        }
+        Ok(())
+    }
+}
+
+/// `[http]`: dashboard, JSON, metrics, health.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct HttpConfig {
+    /// Address and port.
+    pub listen: SocketAddr,
+    /// File with the token that requests must bring; needed for any address but the host's own.
+    pub token_file: Option<PathBuf>,
+}
+
+impl Default for HttpConfig {
+    fn default() -> Self {
+        HttpConfig { listen: SocketAddr::from(([127, 0, 0, 1], 8600)), token_file: None }
+    }
+}
+
+/// Versions of MQTT.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub enum MqttVersion {
+    /// 3.1.1.
+    #[default]
+    #[serde(rename = "3.1.1")]
+    V3,
+    /// 5.
+    #[serde(rename = "5")]
+    V5,
+}
+
+/// `[mqtt]`: a broker.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct MqttConfig {
+    /// Host of the broker.
+    pub host: String,
+    /// Port; absent: 8883 with TLS, 1883 without.
+    pub port: Option<u16>,
+    /// Protocol version.
+    pub version: MqttVersion,
+    /// Client identifier; absent: `seepd-` and the host's name.
+    pub client_id: Option<String>,
+    /// First level of the topics.
+    pub prefix: String,
+    /// User.
+    pub username: Option<String>,
+    /// File with the password.
+    pub password_file: Option<PathBuf>,
+    /// Whether the connection is encrypted.
+    pub tls: bool,
+    /// Certificates that the broker's must lead to (PEM).
+    pub ca_file: PathBuf,
+    /// Own certificate (PEM), where the broker asks for one.
+    pub certificate_file: Option<PathBuf>,
+    /// Its key (PEM).
+    pub key_file: Option<PathBuf>,
+    /// Events kept on disk while the broker is away; the oldest go first.
+    pub spool_events: usize,
+}
+
+impl Default for MqttConfig {
+    fn default() -> Self {
+        MqttConfig {
+            host: "localhost".into(),
+            port: None,
+            version: MqttVersion::V3,
+            client_id: None,
+            prefix: "seepd".into(),
+            username: None,
+            password_file: None,
+            tls: false,
+            ca_file: "/etc/ssl/certs/ca-certificates.crt".into(),
+            certificate_file: None,
+            key_file: None,
+            spool_events: 20_000,
+        }
+    }
+}
+
+impl MqttConfig {
+    /// The port in force.
+    pub fn port(&self) -> u16 {
+        self.port.unwrap_or(if self.tls { 8883 } else { 1883 })
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.host.is_empty() {
+            return Err("mqtt.host is empty".into());
+        }
+        if self.prefix.is_empty() || self.prefix.contains(['#', '+', '\0']) || self.prefix.starts_with('$') {
+            return Err(format!("mqtt.prefix is `{}`; topics have no #, + and no leading $", self.prefix));
+        }
+        if !(1..=1_000_000).contains(&self.spool_events) {
+            return Err(format!("mqtt.spool_events is {}; it must lie in 1 … 1000000", self.spool_events));
+        }
+        if self.certificate_file.is_some() != self.key_file.is_some() {
+            return Err("mqtt: certificate_file and key_file come together".into());
+        }
+        if self.password_file.is_some() && self.username.is_none() {
+            return Err("mqtt.password_file is there, but no username".into());
+        }
+        Ok(())
+    }
+}
+
+/// What a field of an outgoing CAN frame says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum CanValue {
+    /// 0 no estimate, 1 healthy, 2 watch, 3 leak, 4 severe.
+    Flag,
+    /// The highest flag since it was last acknowledged, coded alike; 0 where there is none.
+    Latched,
+    /// 1 where the input is stale.
+    Stale,
+    /// Estimate as a flow at the reference pressure difference, L/min.
+    LeakFlowLpm,
+    /// Estimate, m².
+    LeakAreaM2,
+    /// Lower end of the 90 % interval, m².
+    LowM2,
+    /// Upper end, m².
+    HighM2,
+    /// Number of the last cycle.
+    Cycle,
+    /// Raised by one from frame to frame.
+    Counter,
+}
+
+/// A field of an outgoing CAN frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CanOutField {
+    /// What it says; all bits set where there is no estimate.
+    pub value: CanValue,
+    /// First bit, as in a signal's `bits`.
+    pub start: usize,
+    /// Size, bits.
+    pub length: usize,
+    /// Byte order.
+    #[serde(default)]
+    pub order: ByteOrder,
+    /// Encoding.
+    #[serde(default)]
+    pub encoding: Encoding,
+    /// value = raw · scale.
+    #[serde(default = "one")]
+    pub scale: f64,
+}
+
+fn one() -> f64 {
+    1.0
+}
+
+/// `[[can_out]]`: a frame that tells an axis's condition.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CanOutConfig {
+    /// Interface; `unix:PATH` sends to a Unix datagram socket.
+    pub interface: String,
+    /// Axis; empty: the only one.
+    pub axis: String,
+    /// Identifier.
+    pub id: u32,
+    /// Whether it has 29 bits; absent: where it does not fit 11.
+    pub extended: Option<bool>,
+    /// Data bytes; more than 8 make it an FD frame.
+    pub length: usize,
+    /// Sent every so many seconds besides after each cycle; 0: after cycles only.
+    pub period_s: f64,
+    /// Fields.
+    pub fields: Vec<CanOutField>,
+}
+
+impl Default for CanOutConfig {
+    /// Flag, latch, staleness, counter, flow in mL/min and the interval's ends in 1e-9 m².
+    fn default() -> Self {
+        let field = |value, start, length, scale| CanOutField {
+            value,
+            start,
+            length,
+            order: ByteOrder::LittleEndian,
+            encoding: Encoding::Unsigned,
+            scale,
+        };
+        CanOutConfig {
+            interface: String::new(),
+            axis: String::new(),
+            id: 0x6a0,
+            extended: None,
+            length: 8,
+            period_s: 1.0,
+            fields: vec![
+                field(CanValue::Flag, 0, 3, 1.0),
+                field(CanValue::Latched, 3, 3, 1.0),
+                field(CanValue::Stale, 6, 1, 1.0),
+                field(CanValue::Counter, 8, 8, 1.0),
+                field(CanValue::LeakFlowLpm, 16, 16, 1e-3),
+                field(CanValue::LowM2, 32, 16, 1e-9),
+                field(CanValue::HighM2, 48, 16, 1e-9),
+            ],
+        }
+    }
+}
+
+/// Data lengths of frames.
+const LENGTHS: [usize; 15] = [1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64];
+
+impl CanOutConfig {
+    /// The fields' places.
+    ///
+    /// # Errors
+    /// One line: a field does not fit the frame.
+    pub fn places(&self) -> Result<Vec<(CanValue, BitField)>, String> {
+        self.fields
+            .iter()
+            .map(|field| {
+                BitField::new(field.start, field.length, field.order, field.encoding, field.scale, 0.0)
+                    .and_then(|place| {
+                        let fits = place.least_bytes() <= self.length && field.scale != 0.0;
+                        fits.then_some(place).ok_or(format!("does not fit {} bytes", self.length))
+                    })
+                    .map(|place| (field.value, place))
+                    .map_err(|what| format!("can_out: the field {:?} {what}", field.value))
+            })
+            .collect()
+    }
+
+    fn check(&self) -> Result<(), String> {
+        if self.interface.is_empty() {
+            return Err("can_out.interface is missing".into());
+        }
+        if !LENGTHS.contains(&self.length) {
+            return Err(format!("can_out.length is {}; no CAN frame has that many bytes", self.length));
+        }
+        if self.period_s != 0.0 && !(0.01..=3600.0).contains(&self.period_s) {
+            return Err(format!("can_out.period_s is {}; it must be 0 or lie in 0.01 … 3600", self.period_s));
+        }
+        identifier(self.id, self.extended).map_err(|what| format!("can_out.id: {what}"))?;
+        self.places().map(|_| ())
+    }
+}
+
+/// `[recording]`: MCAP files of what came in and what was said.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecordingConfig {
+    /// Folder; absent: `recordings` in the state folder.
+    pub folder: Option<PathBuf>,
+    /// A file is closed at this size, MB (1e6 bytes).
+    pub file_mb: f64,
+    /// A file is closed at this age, min.
+    pub file_min: f64,
+    /// The oldest files go when all take more than this, MB.
+    pub total_mb: f64,
+    /// Files older than this go, days; 0: none.
+    pub keep_days: f64,
+}
+
+impl Default for RecordingConfig {
+    fn default() -> Self {
+        RecordingConfig { folder: None, file_mb: 64.0, file_min: 60.0, total_mb: 2000.0, keep_days: 30.0 }
+    }
+}
+
+impl RecordingConfig {
+    fn check(&self) -> Result<(), String> {
+        for (key, value, least) in [
+            ("file_mb", self.file_mb, 0.1),
+            ("file_min", self.file_min, 0.1),
+            ("total_mb", self.total_mb, 1.0),
+            ("keep_days", self.keep_days, 0.0),
+        ] {
+            if !(least..=1e7).contains(&value) {
+                return Err(format!("recording.{key} is {value}; it must lie in {least} … 1e7"));
+            }
+        }
+        if self.total_mb < self.file_mb {
+            return Err("recording.total_mb is less than file_mb, the size of one file".into());
+        }
+        Ok(())
+    }
+}
+
+/// Checks the sinks' tables.
+///
+/// # Errors
+/// One line that names the key.
+pub(super) fn check_sinks(config: &super::Config) -> Result<(), String> {
+    config.mqtt.as_ref().map_or(Ok(()), MqttConfig::check)?;
+    config.recording.as_ref().map_or(Ok(()), RecordingConfig::check)?;
+    for frame in &config.can_out {
+        frame.check()?;
+        let axes = config.axes();
+        let known = axes.iter().any(|axis| axis.axis == frame.axis);
+        if !(known || frame.axis.is_empty() && axes.len() == 1) {
+            let names: Vec<&str> = axes.iter().map(|axis| axis.axis.as_str()).collect();
+            return Err(format!("can_out.axis is `{}`; the axes are {}", frame.axis, names.join(", ")));
+        }
+    }
+    if let Some(http) = &config.http {
+        if !http.listen.ip().is_loopback() && http.token_file.is_none() {
+            return Err(format!(
+                "http.listen is {}, which others can reach: name a file with a token in http.token_file",
+                http.listen
+            ));
+        }
+        if let Some(mqtt) = &config.mqtt
+            && mqtt.port() == http.listen.port()
+            && matches!(mqtt.host.as_str(), "localhost" | "127.0.0.1" | "::1")
+            && http.listen.ip().is_loopback()
+        {
+            return Err(format!(
+                "http.listen and the broker at {} have the same port {}",
+                mqtt.host,
+                mqtt.port()
+            ));
+        }
+    }
+    for (index, frame) in config.can_out.iter().enumerate() {
+        let twin = |other: &&CanOutConfig| other.interface == frame.interface && other.id == frame.id;
+        if config.can_out.iter().skip(index + 1).any(|other| twin(&other)) {
+            return Err(format!(
+                "can_out: two frames have the identifier {:#x} on {}",
+                frame.id, frame.interface
+            ));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,358 @@
+//! An axis at work: its source, its pipeline, its alarm; tells the hub.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use seepd_model::Model;
+use seepd_signals::{Sample, Signal};
+use tokio::sync::{mpsc, watch};
+
+use super::clock::Clock;
+use super::hub::{AxisStatus, Course, Hub, LIVE_POINTS, Order, TrendPoint, cycle_end_ns};
+use super::state::{AxisState, Keeper};
+use crate::alarm::{Alarm, AlarmState, Latch};
+use crate::config::{Config, Pace};
+use crate::event::{CycleLine, Event, Flag};
+use crate::pipeline::{Pipeline, PipelineConfig};
+use crate::sink::recording::Recorder;
+use crate::source::live::{Input, LiveSource, SourceState};
+
+/// Time between points of the dashboard's curves, ns.
+const POINT_NS: i64 = 20_000_000;
+/// Conditions are told to the hub this often, ns.
+const TELL_NS: i64 = 200_000_000;
+
+/// What an axis needs beside its configuration.
+pub struct Surroundings {
+    /// Where it tells.
+    pub hub: Arc<Hub>,
+    /// What keeps its state.
+    pub keeper: Keeper,
+    /// What records its samples, if something does.
+    pub recorder: watch::Receiver<Option<Recorder>>,
+    /// Time.
+    pub clock: Clock,
+    /// Raised whenever it has worked through what there was.
+    pub progress: Arc<AtomicU64>,
+}
+
+/// Runs an axis until it is told to stop or its log ends. `true` where the log ended.
+pub async fn run(
+    config: Config,
+    model: Model,
+    mut source: LiveSource,
+    around: Surroundings,
+    mut orders: mpsc::Receiver<Order>,
+    mut stop: watch::Receiver<bool>,
+) -> bool {
+    let projections = model.projections();
+    let mut pipeline = Pipeline::new(PipelineConfig {
+        axis: &config.axis,
+        model: &model,
+        projections: &projections,
+        alarm: &config.alarm,
+        reference_dp_pa: config.reference_dp_pa,
+    });
+    let mut desk = Desk::new(&config, &model, &around);
+    if let Some(state) = around.keeper.restored(&config.axis) {
+        pipeline.restore(Alarm::from(state.alarm));
+        desk.latch = state.latch;
+    }
+    desk.tell(&pipeline, &source);
+    let mut samples = Vec::with_capacity(1024);
+    loop {
+        samples.clear();
+        let input = tokio::select! {
+            biased;
+            _ = stop.changed() => break false,
+            Some(Order::Acknowledge) = orders.recv() => {
+                desk.acknowledge(&pipeline);
+                continue;
+            }
+            input = source.read(&mut samples) => input,
+        };
+        desk.take(&mut pipeline, &samples, &around.recorder);
+        let ended = matches!(input, Input::End(_));
+        if let Input::End(error) = &input {
+            if let Some(error) = error {
+                tracing::error!(axis = config.axis, "{error}");
+            }
+            pipeline.finish(&mut |event| desk.publish(event));
+        } else {
+            desk.heed_silence(&mut pipeline, &input);
+        }
+        desk.tell_now_and_then(&pipeline, &source, ended);
+        around.progress.fetch_add(1, Ordering::Relaxed);
+        if ended {
+            break true;
+        }
+    }
+}
+
+/// Between pipeline and hub.
+struct Desk<'a> {
+    config: &'a Config,
+    around: &'a Surroundings,
+    latch: Latch,
+    points: Points,
+    last_sample_ns: i64,
+    told_ns: i64,
+    stale: bool,
+    /// A cycle or a flag came since the hub was last told.
+    news: bool,
+    last: Option<LastCycle>,
+    /// The input's last complaint, so that each is logged once.
+    complaint: Option<String>,
+}
+
+/// What is told of the newest cycle.
+#[derive(Clone, Copy)]
+struct LastCycle {
+    cycle: u64,
+    end_ns: i64,
+    estimate: Option<(f64, [f64; 2], f64)>,
+}
+
+impl<'a> Desk<'a> {
+    fn new(config: &'a Config, model: &Model, around: &'a Surroundings) -> Self {
+        let now_ns = around.clock.now_ns();
+        let cycle_points = 3.5 * model.file().cycle.period_s * 1e9 / POINT_NS as f64;
+        Desk {
+            config,
+            around,
+            latch: Latch::default(),
+            points: Points::new(cycle_points as usize),
+            last_sample_ns: now_ns,
+            told_ns: 0,
+            stale: false,
+            news: true,
+            last: None,
+            complaint: None,
+        }
+    }
+
+    fn take(
+        &mut self,
+        pipeline: &mut Pipeline<'_>,
+        samples: &[Sample],
+        recorder: &watch::Receiver<Option<Recorder>>,
+    ) {
+        if samples.is_empty() {
+            return;
+        }
+        let recorder = recorder.borrow();
+        let pace = self.config.source.log.as_ref().map_or(Pace::Recorded, |_| self.config.source.pace);
+        for sample in samples {
+            self.points.take(sample);
+            if let Some(recorder) = recorder.as_ref() {
+                recorder.sample(&self.config.axis, sample, pace);
+            }
+            pipeline.push(sample, &mut |event| self.publish(event));
+        }
+        self.last_sample_ns = self.around.clock.now_ns();
+        if self.stale {
+            self.stale = false;
+            self.news = true;
+            tracing::info!(axis = self.config.axis, "the input is back");
+        }
+    }
+
+    fn publish(&mut self, event: &Event<'_>) {
+        self.news = true;
+        match event {
+            Event::Cycle(line) => self.note_cycle(line),
+            Event::Flag(flag) => {
+                let (from, to) = (flag.flag_from.name(), flag.flag_to.name());
+                let reason = flag.evidence.reason;
+                if flag.flag_to > Flag::Healthy || flag.flag_to == Flag::NoEstimate {
+                    tracing::warn!(axis = flag.axis, from, to, reason, "flag changed from {from} to {to}");
+                } else {
+                    tracing::info!(axis = flag.axis, from, to, "flag changed from {from} to {to}");
+                }
+            }
+        }
+        self.around.hub.publish_event(event);
+    }
+
+    fn note_cycle(&mut self, line: &CycleLine<'_>) {
+        let end_ns = cycle_end_ns(line);
+        let estimate = match (line.leak_area_m2, line.interval90_m2, line.leak_flow_lpm) {
+            (Some(area), Some(interval), Some(flow)) => Some((area, interval, flow)),
+            _ => self.last.and_then(|last| last.estimate),
+        };
+        self.last = Some(LastCycle { cycle: line.cycle, end_ns, estimate });
+        let course = Course {
+            cycle: line.cycle,
+            flag: line.flag,
+            reason: line.reason,
+            leak_flow_lpm: line.leak_flow_lpm,
+            points: self.points.between(line.t_start_ns, end_ns),
+        };
+        let point = line.leak_area_m2.and(estimate).map(|(leak_area_m2, interval90_m2, leak_flow_lpm)| {
+            TrendPoint { t_ns: end_ns, leak_area_m2, interval90_m2, leak_flow_lpm, flag: line.flag }
+        });
+        self.around.hub.update_axis(line.axis, |_, view| {
+            view.add_course(course);
+            if let Some(point) = point {
+                view.add_trend(point);
+            }
+        });
+        match line.reason {
+            Some(reason) => {
+                tracing::info!(axis = line.axis, cycle = line.cycle, reason, "cycle rejected: {reason}")
+            }
+            None => tracing::debug!(
+                axis = line.axis,
+                cycle = line.cycle,
+                leak_flow_lpm = line.leak_flow_lpm,
+                "cycle"
+            ),
+        }
+    }
+
+    /// Raises staleness where nothing usable has come for long, and tells why once.
+    fn heed_silence(&mut self, pipeline: &mut Pipeline<'_>, input: &Input) {
+        let complaint = match input {
+            Input::Down(why) => Some(why.clone()),
+            Input::Samples => None,
+            _ => self.complaint.clone(),
+        };
+        if complaint != self.complaint {
+            if let Some(why) = &complaint {
+                tracing::warn!(axis = self.config.axis, "{why}");
+            }
+            self.complaint = complaint;
+        }
+        let silent_ns = self.around.clock.now_ns().saturating_sub(self.last_sample_ns);
+        if !self.stale && silent_ns as f64 > self.config.source.stale_after_s * 1e9 {
+            self.stale = true;
+            self.news = true;
+            tracing::warn!(axis = self.config.axis, "no command for {} s", self.config.source.stale_after_s);
+            pipeline.stale(&mut |event| self.publish(event));
+        }
+    }
+
+    fn acknowledge(&mut self, pipeline: &Pipeline<'_>) {
+        let latched = self.latch.latched;
+        if self.latch.acknowledge(pipeline.alarm().level()) {
+            tracing::info!(axis = self.config.axis, latched = latched.map(Flag::name), "acknowledged");
+            let now_ns = self.around.clock.now_ns();
+            self.around.hub.publish_acknowledged(&self.config.axis, latched, now_ns);
+        }
+        self.news = true;
+        self.keep(pipeline);
+        let latch = self.latch;
+        self.around.hub.update_axis(&self.config.axis, |status, _| {
+            status.latched = latch.latched;
+            status.acknowledged = latch.acknowledged;
+        });
+    }
+
+    fn keep(&self, pipeline: &Pipeline<'_>) {
+        let alarm = AlarmState::from(pipeline.alarm());
+        self.around.keeper.keep(&self.config.axis, AxisState { alarm, latch: self.latch });
+    }
+
+    fn tell_now_and_then(&mut self, pipeline: &Pipeline<'_>, source: &LiveSource, ended: bool) {
+        let now_ns = self.around.clock.now_ns();
+        if self.news {
+            self.latch.take(pipeline.alarm().level());
+            self.keep(pipeline);
+        }
+        if self.news || ended || now_ns.saturating_sub(self.told_ns) >= TELL_NS {
+            self.told_ns = now_ns;
+            self.news = false;
+            self.tell(pipeline, source);
+        }
+    }
+
+    fn tell(&mut self, pipeline: &Pipeline<'_>, source: &LiveSource) {
+        let alarm = pipeline.alarm();
+        let mut health = source.health();
+        if self.stale && health.state == SourceState::Receiving {
+            health.state = SourceState::Silent;
+        }
+        let (latch, stale, last) = (self.latch, self.stale, self.last);
+        let summary = pipeline.summary();
+        let fresh = &mut self.points.fresh;
+        self.around.hub.update_axis(&self.config.axis, |status, view| {
+            *status = AxisStatus {
+                flag: alarm.flag(),
+                reason: alarm.reason(),
+                level: alarm.level(),
+                latched: latch.latched,
+                acknowledged: latch.acknowledged,
+                stale,
+                leak_area_m2: last.and_then(|last| last.estimate).map(|estimate| estimate.0),
+                interval90_m2: last.and_then(|last| last.estimate).map(|estimate| estimate.1),
+                leak_flow_lpm: last.and_then(|last| last.estimate).map(|estimate| estimate.2),
+                cycle: last.map(|last| last.cycle),
+                t_last_cycle_ns: last.map(|last| last.end_ns),
+                cycles: summary.cycles,
+                rejected: summary.rejected,
+                samples_rejected: summary.samples_rejected,
+                source: health,
+                ..AxisStatus::new(&self.config.axis, self.config.reference_dp_pa)
+            };
+            view.live.extend(fresh.drain(..));
+            let surplus = view.live.len().saturating_sub(LIVE_POINTS);
+            view.live.drain(..surplus);
+        });
+    }
+}
+
+/// The command in steps of 20 ms, for curves.
+struct Points {
+    ring: VecDeque<(i64, f32)>,
+    kept: usize,
+    fresh: Vec<(i64, f32)>,
+    begin_ns: Option<i64>,
+    sum: f64,
+    count: u32,
+}
+
+impl Points {
+    fn new(kept: usize) -> Self {
+        let kept = kept.clamp(100, 100_000);
+        Points {
+            ring: VecDeque::with_capacity(kept),
+            kept,
+            fresh: Vec::with_capacity(64),
+            begin_ns: None,
+            sum: 0.0,
+            count: 0,
+        }
+    }
+
+    fn take(&mut self, sample: &Sample) {
+        let Some(command) = sample.get(Signal::Command).filter(|command| command.is_finite()) else { return };
+        let begin_ns = *self.begin_ns.get_or_insert(sample.time_ns);
+        let since_ns = sample.time_ns.saturating_sub(begin_ns);
+        if !(0..POINT_NS).contains(&since_ns) {
+            self.close(begin_ns);
+            self.begin_ns = Some(sample.time_ns);
+        }
+        self.sum += command;
+        self.count += 1;
+    }
+
+    fn close(&mut self, begin_ns: i64) {
+        if self.count > 0 {
+            let point = (begin_ns, (self.sum / f64::from(self.count)) as f32);
+            if self.ring.len() >= self.kept {
+                self.ring.pop_front();
+            }
+            self.ring.push_back(point);
+            if self.fresh.len() < LIVE_POINTS {
+                self.fresh.push(point);
+            }
+        }
+        (self.sum, self.count) = (0.0, 0);
+    }
+
+    fn between(&self, start_ns: i64, end_ns: i64) -> Vec<(f32, f32)> {
+        let within = self.ring.iter().filter(|(t_ns, _)| (start_ns..end_ns).contains(t_ns));
+        within.map(|(t_ns, command)| (t_ns.saturating_sub(start_ns) as f32 / 1e9, *command)).collect()
+    }
+}

@@ -1,0 +1,414 @@
+//! What the axes tell and the sinks hear: the newest condition of everything, and each event once.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use serde::Serialize;
+use tokio::sync::{mpsc, watch};
+
+use crate::event::{CycleLine, Event, Flag, FlagEvent};
+use crate::live::clock;
+use crate::source::live::SourceHealth;
+
+/// Cycles whose course is kept for the dashboard.
+const COURSES: usize = 6;
+/// Estimates kept for the trend; when there are as many, every second one goes.
+const TREND: usize = 2000;
+/// Points of the live command that are kept.
+pub const LIVE_POINTS: usize = 1500;
+
+/// An axis's condition: `seepd.status/1`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AxisStatus {
+    /// `seepd.status/1`.
+    pub schema: &'static str,
+    /// Name.
+    pub axis: String,
+    /// Condition now.
+    pub flag: Flag,
+    /// Why there is no estimate.
+    pub reason: Option<&'static str>,
+    /// The leak's level, kept while there is no estimate.
+    pub level: Flag,
+    /// The highest flag since it was last acknowledged.
+    pub latched: Option<Flag>,
+    /// Whether somebody has taken note of it.
+    pub acknowledged: bool,
+    /// Whether the input has gone.
+    pub stale: bool,
+    /// Last estimate, m².
+    pub leak_area_m2: Option<f64>,
+    /// Interval that holds the truth nine times in ten, m².
+    pub interval90_m2: Option<[f64; 2]>,
+    /// Last estimate as a flow at the reference pressure difference, L/min.
+    pub leak_flow_lpm: Option<f64>,
+    /// Reference pressure difference, Pa.
+    pub reference_dp_pa: f64,
+    /// Projected time until the flag `leak`, s; null where nothing is projected.
+    pub time_to_leak_s: Option<f64>,
+    /// Number of the last cycle.
+    pub cycle: Option<u64>,
+    /// End of the last cycle, ns on the daemon's line of time.
+    pub t_last_cycle_ns: Option<i64>,
+    /// Cycles with an estimate.
+    pub cycles: u64,
+    /// Cycles without one, by reason.
+    pub rejected: BTreeMap<&'static str, u64>,
+    /// Samples left out or filled in, by reason.
+    pub samples_rejected: BTreeMap<&'static str, u64>,
+    /// The input.
+    pub source: SourceHealth,
+}
+
+impl AxisStatus {
+    /// An axis of which nothing is known yet.
+    pub fn new(axis: &str, reference_dp_pa: f64) -> Self {
+        AxisStatus {
+            schema: "seepd.status/1",
+            axis: axis.into(),
+            flag: Flag::NoEstimate,
+            reason: Some("no_cycle_yet"),
+            level: Flag::Healthy,
+            latched: None,
+            acknowledged: false,
+            stale: false,
+            leak_area_m2: None,
+            interval90_m2: None,
+            leak_flow_lpm: None,
+            reference_dp_pa,
+            time_to_leak_s: None,
+            cycle: None,
+            t_last_cycle_ns: None,
+            cycles: 0,
+            rejected: BTreeMap::new(),
+            samples_rejected: BTreeMap::new(),
+            source: SourceHealth::default(),
+        }
+    }
+}
+
+/// A point of the leak's trend.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct TrendPoint {
+    /// End of the cycle, ns on the daemon's line of time.
+    pub t_ns: i64,
+    /// Estimate, m².
+    pub leak_area_m2: f64,
+    /// Its interval, m².
+    pub interval90_m2: [f64; 2],
+    /// The same as a flow, L/min.
+    pub leak_flow_lpm: f64,
+    /// Condition after the cycle.
+    pub flag: Flag,
+}
+
+/// The command's course over a cycle.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Course {
+    /// Number of the cycle.
+    pub cycle: u64,
+    /// Condition after it.
+    pub flag: Flag,
+    /// Why it was rejected.
+    pub reason: Option<&'static str>,
+    /// Estimate as a flow, L/min.
+    pub leak_flow_lpm: Option<f64>,
+    /// Time from the cycle's start (s) and mean command over the 20 ms around it (share of full command).
+    pub points: Vec<(f32, f32)>,
+}
+
+/// What the dashboard draws of an axis.
+#[derive(Debug, Clone, Default)]
+pub struct AxisView {
+    /// Leak by cycle.
+    pub trend: VecDeque<TrendPoint>,
+    /// The last cycles.
+    pub courses: VecDeque<Course>,
+    /// The command lately: time on the line (ns), mean over 20 ms.
+    pub live: VecDeque<(i64, f32)>,
+}
+
+impl AxisView {
+    /// Adds an estimate; a full trend loses every second one.
+    pub fn add_trend(&mut self, point: TrendPoint) {
+        if self.trend.len() >= TREND {
+            let mut keep = false;
+            self.trend.retain(|_| {
+                keep = !keep;
+                keep
+            });
+        }
+        self.trend.push_back(point);
+    }
+
+    /// Adds a cycle's course.
+    pub fn add_course(&mut self, course: Course) {
+        if self.courses.len() >= COURSES {
+            self.courses.pop_front();
+        }
+        self.courses.push_back(course);
+    }
+}
+
+/// How a sink is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct SinkStatus {
+    /// What it is and where.
+    pub name: String,
+    /// Whether it works.
+    pub good: bool,
+    /// What it is doing, or why it does not work.
+    pub detail: String,
+    /// Events or frames that went out.
+    pub sent: u64,
+    /// Events that wait.
+    pub waiting: u64,
+    /// Events, samples or frames that were given up.
+    pub dropped: u64,
+}
+
+impl SinkStatus {
+    /// A sink that has just been started.
+    pub fn new(name: impl Into<String>) -> Self {
+        SinkStatus {
+            name: name.into(),
+            good: true,
+            detail: "starting".into(),
+            sent: 0,
+            waiting: 0,
+            dropped: 0,
+        }
+    }
+}
+
+/// What a publication tells.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A cycle: `seepd.cycle/1`.
+    Cycle,
+    /// A change of flag: `seepd.event/1`.
+    Flag,
+    /// Somebody took note: `seepd.acknowledged/1`.
+    Acknowledged,
+    /// A test: `seepd.test/1`.
+    Test,
+}
+
+impl Kind {
+    /// Its name in topics and streams.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Kind::Cycle => "cycle",
+            Kind::Flag => "flag",
+            Kind::Acknowledged => "acknowledged",
+            Kind::Test => "test",
+        }
+    }
+}
+
+/// An event as it is sent.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Publication {
+    /// Kind.
+    pub kind: Kind,
+    /// Axis.
+    pub axis: String,
+    /// Its time on the line, ns.
+    pub t_ns: i64,
+    /// The event with `id` and `published_at`, JSON.
+    pub json: String,
+    /// The event alone, as a replay writes it, JSON.
+    pub event_json: String,
+}
+
+/// An event with what makes a repeat recognisable.
+#[derive(Serialize)]
+struct Envelope<'a, E: Serialize> {
+    #[serde(flatten)]
+    event: &'a E,
+    /// The same in each repeat of a message, and in no other message.
+    id: String,
+    /// Wall-clock time; null where the clock was never set.
+    published_at: Option<String>,
+}
+
+/// `seepd.acknowledged/1`.
+#[derive(Serialize)]
+struct Acknowledged<'a> {
+    schema: &'static str,
+    axis: &'a str,
+    latched: Option<Flag>,
+    t_ns: i64,
+}
+
+/// `seepd.test/1`: a marked test alarm.
+#[derive(Serialize)]
+struct TestAlarm<'a> {
+    schema: &'static str,
+    axis: &'a str,
+    test: bool,
+    flag_from: Flag,
+    flag_to: Flag,
+    message: &'static str,
+}
+
+struct Axis {
+    status: AxisStatus,
+    view: AxisView,
+    orders: mpsc::Sender<Order>,
+}
+
+/// What an axis is asked for.
+#[derive(Debug)]
+pub enum Order {
+    /// Take note of the latched flag.
+    Acknowledge,
+}
+
+#[derive(Default)]
+struct Inner {
+    axes: BTreeMap<String, Axis>,
+    sinks: BTreeMap<String, SinkStatus>,
+    subscribers: Vec<mpsc::UnboundedSender<Arc<Publication>>>,
+    published: u64,
+}
+
+/// See the [module](self).
+pub struct Hub {
+    inner: Mutex<Inner>,
+    /// Names this run in the events' identifiers.
+    run: String,
+    /// Raised whenever a condition may have changed.
+    changed: watch::Sender<u64>,
+}
+
+impl Hub {
+    /// An empty one; `run` names this run of the daemon.
+    pub fn new(run: String) -> Arc<Self> {
+        Arc::new(Hub { inner: Mutex::default(), run, changed: watch::Sender::new(0) })
+    }
+
+    // Nothing panics while it holds the lock; if something did, the data are still whole.
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Name of this run.
+    pub fn run(&self) -> &str {
+        &self.run
+    }
+
+    /// Adds an axis, or takes its new connection for orders; an axis that was there keeps its trend.
+    pub fn add_axis(&self, status: AxisStatus, orders: mpsc::Sender<Order>) {
+        let mut inner = self.lock();
+        let view = inner.axes.remove(&status.axis).map(|axis| axis.view).unwrap_or_default();
+        inner.axes.insert(status.axis.clone(), Axis { status, view, orders });
+    }
+
+    /// Removes an axis.
+    pub fn remove_axis(&self, name: &str) {
+        self.lock().axes.remove(name);
+    }
+
+    /// Changes an axis's condition and view.
+    pub fn update_axis(&self, name: &str, change: impl FnOnce(&mut AxisStatus, &mut AxisView)) {
+        if let Some(axis) = self.lock().axes.get_mut(name) {
+            change(&mut axis.status, &mut axis.view);
+        }
+        self.changed.send_modify(|count| *count += 1);
+    }
+
+    /// Changes a sink's condition.
+    pub fn update_sink(&self, key: &str, change: impl FnOnce(&mut SinkStatus)) {
+        let mut inner = self.lock();
+        change(inner.sinks.entry(key.to_owned()).or_insert_with(|| SinkStatus::new(key)));
+    }
+
+    /// Removes a sink.
+    pub fn remove_sink(&self, key: &str) {
+        self.lock().sinks.remove(key);
+    }
+
+    /// Conditions of all axes.
+    pub fn axes(&self) -> Vec<AxisStatus> {
+        self.lock().axes.values().map(|axis| axis.status.clone()).collect()
+    }
+
+    /// Condition of an axis.
+    pub fn axis(&self, name: &str) -> Option<AxisStatus> {
+        self.lock().axes.get(name).map(|axis| axis.status.clone())
+    }
+
+    /// Something of an axis's view.
+    pub fn view<T>(&self, name: &str, look: impl FnOnce(&AxisView) -> T) -> Option<T> {
+        self.lock().axes.get(name).map(|axis| look(&axis.view))
+    }
+
+    /// Conditions of all sinks.
+    pub fn sinks(&self) -> Vec<SinkStatus> {
+        self.lock().sinks.values().cloned().collect()
+    }
+
+    /// Asks an axis for something; `false` where there is no such axis or it does not listen.
+    pub fn order(&self, axis: &str, order: Order) -> bool {
+        let orders = self.lock().axes.get(axis).map(|axis| axis.orders.clone());
+        orders.is_some_and(|orders| orders.try_send(order).is_ok())
+    }
+
+    /// Tells of changes of condition.
+    pub fn changes(&self) -> watch::Receiver<u64> {
+        self.changed.subscribe()
+    }
+
+    /// Every event from now on.
+    pub fn subscribe(&self) -> mpsc::UnboundedReceiver<Arc<Publication>> {
+        let (sender, receiver) = mpsc::unbounded_channel();
+        self.lock().subscribers.push(sender);
+        receiver
+    }
+
+    /// Publishes an event of the pipeline.
+    pub fn publish_event(&self, event: &Event<'_>) {
+        match event {
+            Event::Cycle(line) => self.publish(Kind::Cycle, line.axis, cycle_end_ns(line), line),
+            Event::Flag(flag) => self.publish(Kind::Flag, flag.axis, flag.t_ns, flag as &FlagEvent<'_>),
+        }
+    }
+
+    /// Publishes that somebody took note.
+    pub fn publish_acknowledged(&self, axis: &str, latched: Option<Flag>, t_ns: i64) {
+        let event = Acknowledged { schema: "seepd.acknowledged/1", axis, latched, t_ns };
+        self.publish(Kind::Acknowledged, axis, t_ns, &event);
+    }
+
+    /// Publishes a marked test alarm.
+    pub fn publish_test(&self, axis: &str, t_ns: i64) {
+        let event = TestAlarm {
+            schema: "seepd.test/1",
+            axis,
+            test: true,
+            flag_from: Flag::Healthy,
+            flag_to: Flag::Severe,
+            message: "a test of the sinks; nothing leaks",
+        };
+        self.publish(Kind::Test, axis, t_ns, &event);
+    }
+
+    fn publish(&self, kind: Kind, axis: &str, t_ns: i64, event: &impl Serialize) {
+        let mut inner = self.lock();
+        inner.published += 1;
+        let id = format!("{}-{}", self.run, inner.published);
+        let envelope = Envelope { event, id, published_at: clock::wall_text() };
+        // Numbers and texts: turning them into JSON cannot fail.
+        let json = serde_json::to_string(&envelope).unwrap_or_default();
+        let event_json = serde_json::to_string(event).unwrap_or_default();
+        let publication = Arc::new(Publication { kind, axis: axis.to_owned(), t_ns, json, event_json });
+        inner.subscribers.retain(|subscriber| subscriber.send(Arc::clone(&publication)).is_ok());
+    }
+}
+
+/// End of a cycle on the line of time, ns.
+pub fn cycle_end_ns(line: &CycleLine<'_>) -> i64 {
+    let length_ns = ((line.t_end_s - line.t_start_s) * 1e9).round() as i64;
+    line.t_start_ns.saturating_add(length_ns)
+}

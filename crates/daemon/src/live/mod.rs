@@ -1,0 +1,467 @@
+//! The live daemon: axes from their sources to the sinks, started, reloaded, watched and stopped as a service.
+//!
+//! One thread runs all of it but the disks: each axis is a task that reads its source and pushes into its pipeline, each
+//! sink a task that hears the [`hub`]. Nothing but the hub knows both sides.
+
+pub mod axis;
+pub mod clock;
+pub mod hub;
+pub mod journal;
+pub mod spool;
+pub mod state;
+pub mod systemd;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+use std::thread;
+use std::time::{Duration, SystemTime};
+
+use sd_notify::NotifyState;
+use seepd_model::Model;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
+use tokio::time::{sleep, timeout};
+
+use crate::config::{CanOutConfig, Config, HttpConfig, MqttConfig, RecordingConfig};
+use crate::failure::{Code, Failure};
+use crate::sink::can::{self, Layout};
+use crate::sink::http::{self, Http};
+use crate::sink::mqtt::{self, Broker};
+use crate::sink::recording::{self, Recorder};
+use crate::source::live::LiveSource;
+use axis::Surroundings;
+use clock::Clock;
+use hub::{AxisStatus, Hub};
+use state::Keeper;
+use systemd::{Watchdog, tell};
+
+/// Time that tasks have to end by themselves.
+const ENDING: Duration = Duration::from_millis(1200);
+/// Wait before a port that is taken is tried again.
+const RETRY_PORT: Duration = Duration::from_secs(3);
+/// The main loop looks for ended axes this often.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// Where state goes: as configured, else where the service manager says, else `seepd-state`.
+pub fn state_folder(config: &Config) -> PathBuf {
+    let of_service = || std::env::var_os("STATE_DIRECTORY").map(PathBuf::from);
+    config.state_dir.clone().or_else(of_service).unwrap_or_else(|| "seepd-state".into())
+}
+
+/// Runs the daemon with a configuration file until it is told to stop, or all of its logs have been read.
+///
+/// # Errors
+/// [`Failure`] where the configuration cannot be used, or no axis can be started.
+pub async fn run(path: &Path) -> Result<(), Failure> {
+    let config = Config::read(path)?;
+    let mut daemon = Daemon::new(&config)?;
+    daemon.start(&config)?;
+    tell(&[NotifyState::Ready, NotifyState::Status(&daemon.status_line())]);
+    tracing::info!("{}", daemon.status_line());
+    let result = daemon.work(path).await;
+    tell(&[NotifyState::Stopping]);
+    daemon.stop().await;
+    result
+}
+
+/// An axis at work.
+struct RunningAxis {
+    config: Config,
+    /// When its model file was last changed.
+    model_changed: Option<SystemTime>,
+    stop: watch::Sender<bool>,
+    task: JoinHandle<bool>,
+    progress: Arc<AtomicU64>,
+}
+
+/// What a sink is configured to do.
+#[derive(Debug, Clone, PartialEq)]
+enum SinkConfig {
+    Http(HttpConfig),
+    Mqtt(MqttConfig),
+    Can(CanOutConfig, String),
+    Recording(RecordingConfig, Vec<String>),
+}
+
+struct RunningSink {
+    config: SinkConfig,
+    name: String,
+    stop: watch::Sender<bool>,
+    task: Ending,
+}
+
+enum Ending {
+    Task(JoinHandle<()>),
+    Thread(Recorder, thread::JoinHandle<()>),
+}
+
+struct Daemon {
+    clock: Clock,
+    hub: Arc<Hub>,
+    keeper: Keeper,
+    state_folder: PathBuf,
+    axes: Vec<RunningAxis>,
+    sinks: Vec<RunningSink>,
+    recorder: watch::Sender<Option<Recorder>>,
+    watchdog: Watchdog,
+}
+
+/// An axis whose files have been read and found good.
+struct ReadyAxis {
+    config: Config,
+    model: Model,
+    source: LiveSource,
+}
+
+impl Daemon {
+    fn new(config: &Config) -> Result<Self, Failure> {
+        let state_folder = state_folder(config);
+        Ok(Daemon {
+            clock: Clock::start(),
+            hub: Hub::new(run_name()),
+            keeper: Keeper::open(&state_folder)?,
+            state_folder,
+            axes: Vec::new(),
+            sinks: Vec::new(),
+            recorder: watch::Sender::new(None),
+            watchdog: Watchdog::new(),
+        })
+    }
+
+    /// Starts sinks, then axes. An axis that cannot be started leaves the others alone, unless it is the only one.
+    fn start(&mut self, config: &Config) -> Result<(), Failure> {
+        let sinks = sink_configs(config);
+        sinks.iter().try_for_each(|sink| self.check_sink(sink))?;
+        for sink in sinks {
+            self.start_sink(sink)?;
+        }
+        let mut first_failure = None;
+        for axis in config.axes() {
+            match self.prepare(axis) {
+                Ok(ready) => self.start_axis(ready),
+                Err(failure) => {
+                    tracing::error!(axis = axis.axis, "{}: {failure}", axis.axis);
+                    self.show_unusable(axis, &failure);
+                    first_failure.get_or_insert(failure);
+                }
+            }
+        }
+        match first_failure {
+            Some(failure) if self.axes.is_empty() => Err(Failure::new(Code::Configuration, failure.message)),
+            _ => Ok(()),
+        }
+    }
+
+    fn prepare(&self, config: &Config) -> Result<ReadyAxis, Failure> {
+        let model = config.load_model()?;
+        let source = LiveSource::open(config, self.clock)?;
+        Ok(ReadyAxis { config: config.clone(), model, source })
+    }
+
+    fn show_unusable(&self, config: &Config, failure: &Failure) {
+        let (orders, _) = mpsc::channel(1);
+        let mut status = AxisStatus::new(&config.axis, config.reference_dp_pa);
+        status.reason = Some("unusable_configuration");
+        status.stale = true;
+        status.source.detail = Some(failure.message.clone());
+        self.hub.add_axis(status, orders);
+    }
+
+    fn start_axis(&mut self, ready: ReadyAxis) {
+        let ReadyAxis { config, model, source } = ready;
+        let (order_sender, orders) = mpsc::channel(8);
+        let (stop, stopped) = watch::channel(false);
+        let progress = Arc::new(AtomicU64::new(0));
+        self.hub.add_axis(AxisStatus::new(&config.axis, config.reference_dp_pa), order_sender);
+        let around = Surroundings {
+            hub: Arc::clone(&self.hub),
+            keeper: self.keeper.clone(),
+            recorder: self.recorder.subscribe(),
+            clock: self.clock,
+            progress: Arc::clone(&progress),
+        };
+        let model_changed = changed(&config);
+        let task = tokio::spawn(axis::run(config.clone(), model, source, around, orders, stopped));
+        self.axes.push(RunningAxis { config, model_changed, stop, task, progress });
+        self.watchdog.watch(self.axes.iter().map(|axis| Arc::clone(&axis.progress)).collect());
+    }
+
+    /// Whether a sink's files can be read; nothing is started yet.
+    fn check_sink(&self, config: &SinkConfig) -> Result<(), Failure> {
+        let (_, stopped) = watch::channel(false);
+        match config {
+            SinkConfig::Http(http) => Http::new(http, Arc::clone(&self.hub), self.clock, stopped).map(drop),
+            SinkConfig::Mqtt(mqtt) => {
+                Broker::new(mqtt, &self.spool_folder(), Arc::clone(&self.hub)).map(drop)
+            }
+            SinkConfig::Can(frame, _) => Layout::new(frame).map(drop),
+            SinkConfig::Recording(..) => Ok(()),
+        }
+    }
+
+    fn spool_folder(&self) -> PathBuf {
+        self.state_folder.join("spool")
+    }
+
+    fn start_sink(&mut self, config: SinkConfig) -> Result<(), Failure> {
+        let (stop, stopped) = watch::channel(false);
+        let hub = Arc::clone(&self.hub);
+        let (name, task) = match &config {
+            SinkConfig::Http(http) => {
+                let site = Http::new(http, hub, self.clock, stopped.clone())?;
+                let serve = serve(site, http.clone(), Arc::clone(&self.hub), stopped);
+                (http::SINK.to_owned(), Ending::Task(tokio::spawn(serve)))
+            }
+            SinkConfig::Mqtt(mqtt) => {
+                let broker = Broker::new(mqtt, &self.spool_folder(), hub)?;
+                (mqtt::SINK.to_owned(), Ending::Task(tokio::spawn(broker.run(stopped))))
+            }
+            SinkConfig::Can(frame, axis) => {
+                let layout = Layout::new(frame)?;
+                let task = can::run(frame.clone(), layout, axis.clone(), hub, stopped);
+                (can::sink_name(frame), Ending::Task(tokio::spawn(task)))
+            }
+            SinkConfig::Recording(recording, axes) => {
+                let folder = recording.folder.clone().unwrap_or_else(|| self.state_folder.join("recordings"));
+                let (recorder, thread) = recording::start(recording, &folder, axes.clone(), hub)?;
+                self.recorder.send_replace(Some(recorder.clone()));
+                (recording::SINK.to_owned(), Ending::Thread(recorder, thread))
+            }
+        };
+        self.hub.update_sink(&name, |_| {});
+        self.sinks.push(RunningSink { config, name, stop, task });
+        Ok(())
+    }
+
+    /// Works until told to stop, or until all axes have ended.
+    async fn work(&mut self, path: &Path) -> Result<(), Failure> {
+        let failed =
+            |error: std::io::Error| Failure::new(Code::Internal, format!("listening for signals: {error}"));
+        let mut reload = signal(SignalKind::hangup()).map_err(failed)?;
+        let mut terminate = signal(SignalKind::terminate()).map_err(failed)?;
+        let mut interrupt = signal(SignalKind::interrupt()).map_err(failed)?;
+        let mut kept = self.keeper.changes();
+        let mut events = self.hub.subscribe();
+        let watch_every = self.watchdog.every.unwrap_or(LOOK);
+        let mut watch = tokio::time::interval(watch_every.min(LOOK * 5));
+        watch.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                _ = terminate.recv() => return Ok(()),
+                _ = interrupt.recv() => return Ok(()),
+                _ = reload.recv() => self.reload(path).await,
+                Some(event) = events.recv() => self.record(&event),
+                _ = kept.changed() => self.write_state().await,
+                _ = watch.tick() => {
+                    if self.watchdog.every.is_some() {
+                        self.watchdog.feed();
+                    }
+                    if self.axes.iter().all(|axis| axis.task.is_finished()) {
+                        while let Ok(event) = events.try_recv() {
+                            self.record(&event);
+                        }
+                        return self.heed_ended().await;
+                    }
+                }
+            }
+        }
+    }
+
+    fn record(&self, event: &Arc<hub::Publication>) {
+        if let Some(recorder) = self.recorder.borrow().as_ref() {
+            recorder.event(event);
+        }
+    }
+
+    /// All logs have been read, or an axis died of a fault of the program, which the service manager mends by a new start.
+    async fn heed_ended(&mut self) -> Result<(), Failure> {
+        let mut result = Ok(());
+        for axis in std::mem::take(&mut self.axes) {
+            if let Err(error) = axis.task.await {
+                result = Err(Failure::new(Code::Internal, format!("axis {}: {error}", axis.config.axis)));
+            }
+        }
+        result
+    }
+
+    async fn write_state(&self) {
+        let (keeper, folder) = (self.keeper.clone(), self.state_folder.clone());
+        let written = tokio::task::spawn_blocking(move || keeper.write(&folder)).await;
+        if let Ok(Err(error)) = written {
+            tracing::error!("the state in {} cannot be written: {error}", self.state_folder.display());
+        }
+    }
+
+    /// Takes a changed configuration over, if all of it is good; what it does not change goes on undisturbed.
+    async fn reload(&mut self, path: &Path) {
+        tell(&[NotifyState::Reloading, monotonic()]);
+        match self.try_reload(path).await {
+            Ok(()) => tracing::info!("configuration taken over: {}", self.status_line()),
+            Err(failure) => tracing::error!("the configuration stays as it was: {failure}"),
+        }
+        tell(&[NotifyState::Ready, NotifyState::Status(&self.status_line())]);
+    }
+
+    async fn try_reload(&mut self, path: &Path) -> Result<(), Failure> {
+        let config = Config::read(path)?;
+        if state_folder(&config) != self.state_folder {
+            return Err(Failure::configuration(
+                path,
+                "state_dir cannot change while the daemon runs; restart it",
+            ));
+        }
+        let sinks = sink_configs(&config);
+        sinks.iter().try_for_each(|sink| self.check_sink(sink))?;
+        let same = |running: &RunningAxis, axis: &Config| {
+            running.config == *axis && running.model_changed == changed(axis) && !running.task.is_finished()
+        };
+        let mut ready = Vec::new();
+        for axis in config.axes() {
+            if !self.axes.iter().any(|running| same(running, axis)) {
+                ready.push(self.prepare(axis)?);
+            }
+        }
+        let (stay, go): (Vec<_>, Vec<_>) = std::mem::take(&mut self.axes)
+            .into_iter()
+            .partition(|running| config.axes().iter().any(|axis| same(running, axis)));
+        self.axes = stay;
+        for axis in go {
+            let name = axis.config.axis.clone();
+            end_axis(axis).await;
+            if !config.axes().iter().any(|axis| axis.axis == name) {
+                self.hub.remove_axis(&name);
+            }
+        }
+        let (stay, go): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut self.sinks).into_iter().partition(|running| sinks.contains(&running.config));
+        self.sinks = stay;
+        for sink in go {
+            self.end_sink(sink).await;
+        }
+        for sink in sinks {
+            if !self.sinks.iter().any(|running| running.config == sink) {
+                self.start_sink(sink)?;
+            }
+        }
+        ready.into_iter().for_each(|axis| self.start_axis(axis));
+        self.watchdog.watch(self.axes.iter().map(|axis| Arc::clone(&axis.progress)).collect());
+        Ok(())
+    }
+
+    async fn end_sink(&mut self, sink: RunningSink) {
+        self.hub.remove_sink(&sink.name);
+        if matches!(sink.task, Ending::Thread(..)) {
+            self.recorder.send_replace(None);
+        }
+        sink.end().await;
+    }
+
+    /// Ends axes, writes the state, ends sinks: in this order, so that the last events still go out.
+    async fn stop(&mut self) {
+        for axis in std::mem::take(&mut self.axes) {
+            end_axis(axis).await;
+        }
+        self.write_state().await;
+        let ends: Vec<_> =
+            std::mem::take(&mut self.sinks).into_iter().map(|sink| tokio::spawn(sink.end())).collect();
+        for end in ends {
+            let _ = end.await;
+        }
+    }
+
+    fn status_line(&self) -> String {
+        let axes: Vec<String> = self
+            .axes
+            .iter()
+            .map(|axis| {
+                let source = &axis.config.source;
+                let log = source.log.as_ref().map(|log| log.display().to_string());
+                format!("{} from {}", axis.config.axis, source.can.clone().or(log).unwrap_or_default())
+            })
+            .collect();
+        format!("{} axes ({}), {} sinks", axes.len(), axes.join(", "), self.sinks.len())
+    }
+}
+
+fn monotonic() -> NotifyState<'static> {
+    NotifyState::monotonic_usec_now().unwrap_or(NotifyState::Status("reloading"))
+}
+
+async fn end_axis(axis: RunningAxis) {
+    axis.stop.send_replace(true);
+    let abort = axis.task.abort_handle();
+    if timeout(ENDING, axis.task).await.is_err() {
+        abort.abort();
+    }
+}
+
+impl RunningSink {
+    async fn end(self) {
+        self.stop.send_replace(true);
+        match self.task {
+            Ending::Task(task) => {
+                let abort = task.abort_handle();
+                if timeout(ENDING, task).await.is_err() {
+                    abort.abort();
+                }
+            }
+            Ending::Thread(recorder, thread) => {
+                let end = tokio::task::spawn_blocking(move || {
+                    recorder.stop();
+                    thread.join().is_ok()
+                });
+                let _ = timeout(ENDING, end).await;
+            }
+        }
+    }
+}
+
+/// Opens the port as soon as it is free, and serves.
+async fn serve(site: Http, config: HttpConfig, hub: Arc<Hub>, mut stop: watch::Receiver<bool>) {
+    loop {
+        match site.bind().await {
+            Ok(listener) => return site.run(listener).await,
+            Err(error) => {
+                let what = format!("opening {}: {error}", config.listen);
+                tracing::error!("http: {what}; tried again");
+                hub.update_sink(http::SINK, |sink| (sink.good, sink.detail) = (false, what));
+            }
+        }
+        tokio::select! {
+            () = sleep(RETRY_PORT) => {}
+            _ = stop.changed() => return,
+        }
+    }
+}
+
+fn sink_configs(config: &Config) -> Vec<SinkConfig> {
+    let names: Vec<String> = config.axes().iter().map(|axis| axis.axis.clone()).collect();
+    let recording = config.recording.clone().map(|recording| SinkConfig::Recording(recording, names.clone()));
+    let can = config.can_out.iter().map(|frame| {
+        let axis = if frame.axis.is_empty() {
+            names.first().cloned().unwrap_or_default()
+        } else {
+            frame.axis.clone()
+        };
+        SinkConfig::Can(frame.clone(), axis)
+    });
+    let http = config.http.clone().map(SinkConfig::Http);
+    let mqtt = config.mqtt.clone().map(SinkConfig::Mqtt);
+    recording.into_iter().chain(http).chain(mqtt).chain(can).collect()
+}
+
+/// When the files that an axis is made of were last changed: the newest of them.
+fn changed(config: &Config) -> Option<SystemTime> {
+    let files = [&config.model, &config.dbc];
+    files.into_iter().flatten().filter_map(|path| fs::metadata(path).ok()?.modified().ok()).max()
+}
+
+/// A name that no other run has.
+fn run_name() -> String {
+    let uuid = fs::read_to_string("/proc/sys/kernel/random/uuid").unwrap_or_default();
+    let short: String = uuid.chars().filter(char::is_ascii_hexdigit).take(12).collect();
+    if short.len() == 12 { short } else { format!("{:x}", Clock::start().now_ns()) }
+}

@@ -1,0 +1,204 @@
+//! What outlives the daemon: each axis's alarm and latch, in one small file.
+//!
+//! The file is written whole, made durable and put in the old one's place, so that a power cut leaves the old one or the
+//! new one. One that cannot be read is set aside under another name, and told of.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use serde::{Deserialize, Serialize};
+use tokio::sync::watch;
+
+use crate::alarm::{AlarmState, Latch};
+use crate::failure::Failure;
+
+/// Version of the file that is written.
+const SCHEMA: &str = "seepd.state/2";
+/// The first one, which had no latch: each axis was its alarm alone.
+const SCHEMA_1: &str = "seepd.state/1";
+const NAME: &str = "state.json";
+
+/// What is kept of an axis.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct AxisState {
+    /// Alarm.
+    pub alarm: AlarmState,
+    /// Latch.
+    pub latch: Latch,
+}
+
+type Axes = BTreeMap<String, AxisState>;
+
+#[derive(Serialize, Deserialize)]
+struct StateFile {
+    schema: String,
+    axes: Axes,
+}
+
+#[derive(Deserialize)]
+struct StateFile1 {
+    axes: BTreeMap<String, AlarmState>,
+}
+
+/// Reads a state file's text.
+///
+/// # Errors
+/// One line: it is no state file, or one of a later version.
+pub fn parse(text: &str) -> Result<BTreeMap<String, AxisState>, String> {
+    #[derive(Deserialize)]
+    struct Head {
+        schema: String,
+    }
+    let head: Head = serde_json::from_str(text).map_err(|error| format!("is no state file: {error}"))?;
+    match head.schema.as_str() {
+        SCHEMA => {
+            serde_json::from_str::<StateFile>(text).map(|file| file.axes).map_err(|error| error.to_string())
+        }
+        SCHEMA_1 => {
+            let file: StateFile1 = serde_json::from_str(text).map_err(|error| error.to_string())?;
+            let taken_over = |(axis, alarm)| (axis, AxisState { alarm, latch: Latch::default() });
+            Ok(file.axes.into_iter().map(taken_over).collect())
+        }
+        other => Err(format!("has the schema {other}; this version reads {SCHEMA} and older")),
+    }
+}
+
+/// Keeps the axes' state.
+#[derive(Clone)]
+pub struct Keeper {
+    axes: Arc<Mutex<Axes>>,
+    changed: watch::Sender<u64>,
+}
+
+impl Keeper {
+    /// Takes up what an earlier run left in a folder, which is made where it is missing.
+    ///
+    /// # Errors
+    /// [`Failure`] where the folder cannot be made or the file cannot be read for another reason than its content.
+    pub fn open(folder: &Path) -> Result<Self, Failure> {
+        fs::create_dir_all(folder).map_err(|error| Failure::writing(folder, error))?;
+        let path = folder.join(NAME);
+        let axes = match fs::read(&path) {
+            Ok(bytes) => parse(&String::from_utf8_lossy(&bytes)).unwrap_or_else(|message| {
+                let aside = set_aside(&path);
+                tracing::error!("{}: {message}; kept as {aside}; alarms begin anew", path.display());
+                Axes::new()
+            }),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Axes::new(),
+            Err(error) => return Err(Failure::reading(&path, &error)),
+        };
+        Ok(Keeper { axes: Arc::new(Mutex::new(axes)), changed: watch::Sender::new(0) })
+    }
+
+    /// What is kept of an axis.
+    pub fn restored(&self, axis: &str) -> Option<AxisState> {
+        self.axes.lock().unwrap_or_else(PoisonError::into_inner).get(axis).copied()
+    }
+
+    /// Keeps an axis's state; it is on disk soon.
+    pub fn keep(&self, axis: &str, state: AxisState) {
+        let mut axes = self.axes.lock().unwrap_or_else(PoisonError::into_inner);
+        if axes.get(axis) != Some(&state) {
+            axes.insert(axis.to_owned(), state);
+            self.changed.send_modify(|count| *count += 1);
+        }
+    }
+
+    /// Tells of changes.
+    pub fn changes(&self) -> watch::Receiver<u64> {
+        self.changed.subscribe()
+    }
+
+    /// Writes the file.
+    ///
+    /// # Errors
+    /// Writing failed.
+    pub fn write(&self, folder: &Path) -> io::Result<()> {
+        let axes = self.axes.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let text = serde_json::to_string_pretty(&StateFile { schema: SCHEMA.into(), axes })?;
+        write_durably(&folder.join(NAME), text.as_bytes())
+    }
+}
+
+/// Puts a file in place whole: after a power cut there is the old one or the new one.
+///
+/// # Errors
+/// Writing failed; the old one is untouched.
+pub fn write_durably(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let new = path.with_extension("new");
+    let mut file = File::create(&new)?;
+    file.write_all(bytes)?;
+    file.sync_all()?;
+    fs::rename(&new, path)?;
+    sync_folder(path)
+}
+
+/// Makes a folder's entries durable.
+///
+/// # Errors
+/// The folder cannot be opened.
+pub fn sync_folder(of_file: &Path) -> io::Result<()> {
+    of_file.parent().map_or(Ok(()), |folder| File::open(folder)?.sync_all())
+}
+
+/// Moves a file that cannot be read out of the way; tells its new name.
+pub fn set_aside(path: &Path) -> String {
+    let taken = |number: &u32| path.with_extension(format!("damaged-{number}"));
+    let free = (1..1000).map(|number| taken(&number)).find(|aside| !aside.exists());
+    let aside: PathBuf = free.unwrap_or_else(|| taken(&0));
+    match fs::rename(path, &aside) {
+        Ok(()) => aside.display().to_string(),
+        Err(error) => format!("it was ({error})"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::alarm::{Alarm, AlarmConfig};
+    use crate::event::Flag;
+
+    fn leaking() -> AlarmState {
+        let mut alarm = Alarm::default();
+        for _ in 0..3 {
+            alarm.estimated(&AlarmConfig::default(), 1.0);
+        }
+        AlarmState::from(&alarm)
+    }
+
+    #[test]
+    fn state_comes_back_and_the_folder_is_made() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().join("deep/down");
+        let keeper = Keeper::open(&folder).unwrap();
+        let latch = Latch { latched: Some(Flag::Leak), acknowledged: true };
+        keeper.keep("press", AxisState { alarm: leaking(), latch });
+        keeper.write(&folder).unwrap();
+        let again = Keeper::open(&folder).unwrap();
+        assert_eq!(again.restored("press"), Some(AxisState { alarm: leaking(), latch }));
+        assert_eq!(again.restored("other"), None);
+    }
+
+    #[test]
+    fn the_first_version_is_taken_over() {
+        let alarm = serde_json::to_string(&leaking()).unwrap();
+        let text = format!(r#"{{"schema":"seepd.state/1","axes":{{"press":{alarm}}}}}"#);
+        let axes = parse(&text).unwrap();
+        assert_eq!(axes["press"], AxisState { alarm: leaking(), latch: Latch::default() });
+    }
+
+    #[test]
+    fn damaged_and_later_files_are_set_aside() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(NAME);
+        for content in [&b"\x00\xff"[..], b"{}", br#"{"schema":"seepd.state/9","axes":{}}"#] {
+            fs::write(&path, content).unwrap();
+            assert_eq!(Keeper::open(folder.path()).unwrap().restored("press"), None);
+            assert!(!path.exists());
+        }
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3);
+    }
+}

@@ -1,0 +1,76 @@
+//! What the service manager hears: ready, reloading, stopping, and that the axes are alive.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use sd_notify::NotifyState;
+
+/// Tells the service manager, if there is one.
+pub fn tell(states: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(states) {
+        tracing::warn!("the service manager cannot be told: {error}");
+    }
+}
+
+/// The watchdog: it is fed only where every axis has worked through its input since the last time.
+pub struct Watchdog {
+    axes: Vec<(Arc<AtomicU64>, u64)>,
+    /// How often it looks; `None` without a watchdog.
+    pub every: Option<Duration>,
+}
+
+impl Watchdog {
+    /// Reads what the service manager asks for.
+    pub fn new() -> Self {
+        let every = sd_notify::watchdog_enabled().map(|limit| (limit / 4).max(Duration::from_millis(50)));
+        Watchdog { axes: Vec::new(), every }
+    }
+
+    /// The axes that are to be watched from now on.
+    pub fn watch(&mut self, axes: Vec<Arc<AtomicU64>>) {
+        self.axes = axes.into_iter().map(|progress| (progress, u64::MAX)).collect();
+    }
+
+    /// Whether every axis has made progress since the last time that all had.
+    pub fn all_progressed(&mut self) -> bool {
+        let all = self.axes.iter().all(|(progress, before)| progress.load(Ordering::Relaxed) != *before);
+        if all {
+            for (progress, before) in &mut self.axes {
+                *before = progress.load(Ordering::Relaxed);
+            }
+        }
+        all
+    }
+
+    /// Feeds it if it may be fed.
+    pub fn feed(&mut self) {
+        if self.all_progressed() {
+            tell(&[NotifyState::Watchdog]);
+        }
+    }
+}
+
+impl Default for Watchdog {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_axis_that_stands_still_starves_the_watchdog() {
+        let (a, b) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicU64::new(0)));
+        let mut watchdog = Watchdog { axes: Vec::new(), every: None };
+        watchdog.watch(vec![Arc::clone(&a), Arc::clone(&b)]);
+        assert!(watchdog.all_progressed());
+        a.fetch_add(1, Ordering::Relaxed);
+        assert!(!watchdog.all_progressed());
+        b.fetch_add(1, Ordering::Relaxed);
+        assert!(watchdog.all_progressed());
+        assert!(!watchdog.all_progressed());
+    }
+}

@@ -1,0 +1,265 @@
+"use strict";
+// The dashboard of seepd: hears the daemon's event stream and draws. No library, nothing from elsewhere.
+const byId = (id) => document.getElementById(id);
+const LIVE_S = 30;
+const FLAGS = { no_estimate: "no estimate", healthy: "healthy", watch: "watch", leak: "leak", severe: "severe" };
+const REASONS = {
+  no_cycle_yet: "no complete cycle yet", stale: "no command comes", stuck: "the command stands still",
+  no_cycle_found: "no duty cycle is found in the command", wrong_rate: "the command comes at another rate than the model's",
+  unusable_configuration: "this axis cannot be started",
+};
+let chosen = null, stream = null, status = null;
+let live = [], cycles = [], trend = [];
+
+const color = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+const number = (value, digits = 3) => (value === null || value === undefined) ? "–" : Number(value).toPrecision(digits);
+const flowOf = (axis, area) => axis.leak_area_m2 ? area * axis.leak_flow_lpm / axis.leak_area_m2 : null;
+const told = (reason) => REASONS[reason] || (reason || "").replaceAll("_", " ");
+
+function rows(table, entries) {
+  table.replaceChildren(...entries.map(([name, value, bad]) => {
+    const row = document.createElement("tr"), head = document.createElement("th"), cell = document.createElement("td");
+    head.scope = "row";
+    head.textContent = name;
+    cell.textContent = value;
+    if (bad) cell.className = "bad";
+    row.append(head, cell);
+    return row;
+  }));
+}
+
+function listen() {
+  if (stream) stream.close();
+  live = [];
+  stream = new EventSource("/api/v1/events" + (chosen ? "?axis=" + encodeURIComponent(chosen) : ""));
+  stream.addEventListener("open", () => linked(true));
+  stream.addEventListener("error", () => linked(false));
+  stream.addEventListener("status", (event) => show(JSON.parse(event.data)));
+  stream.addEventListener("live", (event) => {
+    live.push(...JSON.parse(event.data));
+    const newest = live.length ? live[live.length - 1][0] : 0;
+    live = live.filter(([t]) => t > newest - LIVE_S * 1e9);
+    drawLive();
+  });
+  for (const kind of ["cycle", "flag", "acknowledged", "test"]) {
+    stream.addEventListener(kind, (event) => heard(kind, JSON.parse(event.data)));
+  }
+}
+
+function linked(good) {
+  byId("link").textContent = good ? "connected" : "connection to seepd lost";
+  byId("link").classList.toggle("lost", !good);
+}
+
+function choose(axis) {
+  chosen = axis;
+  cycles = []; trend = [];
+  listen();
+  refresh();
+}
+
+async function refresh() {
+  if (!chosen) return;
+  const of = chosen, place = "/api/v1/axes/" + encodeURIComponent(of);
+  try {
+    const answers = await Promise.all([fetch(place + "/cycles"), fetch(place + "/trend")]);
+    const [newCycles, newTrend] = await Promise.all(answers.map((answer) => answer.ok ? answer.json() : []));
+    if (of !== chosen) return;
+    cycles = newCycles; trend = newTrend;
+    drawCycles(); drawTrend();
+  } catch { /* the stream says that the connection is lost */ }
+}
+
+function show(overview) {
+  status = overview;
+  const names = overview.axes.map((axis) => axis.axis);
+  if (!chosen || !names.includes(chosen)) {
+    if (names.length) choose(names[0]);
+    return;
+  }
+  byId("axes").replaceChildren(...overview.axes.map((axis) => {
+    const button = document.createElement("button");
+    button.type = "button";
+    button.textContent = axis.axis + " · " + FLAGS[axis.flag];
+    button.className = axis.flag;
+    button.setAttribute("aria-pressed", axis.axis === chosen);
+    button.addEventListener("click", () => choose(axis.axis));
+    return button;
+  }));
+  const axis = overview.axes.find((axis) => axis.axis === chosen);
+  showCondition(axis);
+  showSource(axis);
+  rows(byId("sinks"), overview.sinks.length ? overview.sinks.map((sink) => {
+    const counts = sink.sent + " sent, " + sink.waiting + " waiting, " + sink.dropped + " dropped";
+    return [sink.name, sink.detail + " · " + counts, !sink.good];
+  }) : [["none", "configured"]]);
+  document.title = FLAGS[axis.flag] + " · " + axis.axis + " · seepd";
+  byId("footer").textContent = "seepd " + overview.version + " · run " + overview.run + " · " +
+    (overview.time || "this gateway's clock is not set");
+}
+
+function showCondition(axis) {
+  byId("condition").style.setProperty("--state", "var(--" + axis.flag + ")");
+  byId("flag").textContent = FLAGS[axis.flag];
+  byId("reason").textContent = axis.reason ? told(axis.reason) : axis.cycles + " cycles";
+  const known = axis.flag !== "no_estimate";
+  byId("flow").textContent = known ? number(axis.leak_flow_lpm) : "–";
+  const low = flowOf(axis, axis.interval90_m2 ? axis.interval90_m2[0] : null);
+  const high = flowOf(axis, axis.interval90_m2 ? axis.interval90_m2[1] : null);
+  byId("interval").textContent = known && axis.interval90_m2
+    ? number(low) + " … " + number(high) + " L/min at " + axis.reference_dp_pa / 1e6 + " MPa, " + number(axis.leak_area_m2) + " m²"
+    : axis.leak_flow_lpm === null ? "" : "last known " + number(axis.leak_flow_lpm) + " L/min";
+  const latched = axis.latched && !axis.acknowledged;
+  byId("latched").textContent = axis.latched
+    ? "was up to: " + FLAGS[axis.latched] + (axis.acknowledged ? ", acknowledged" : ", not acknowledged") : "";
+  byId("acknowledge").hidden = !latched;
+}
+
+function showSource(axis) {
+  const source = axis.source, entries = [
+    [source.name || "–", source.state + (source.detail ? " · " + source.detail : ""), axis.stale || source.state === "down"],
+    ["frames, samples", source.frames + ", " + source.samples],
+    ["cycles used", axis.cycles],
+  ];
+  const counts = {
+    "dropped by the kernel": source.dropped_in_socket, "missing by their counter": source.missing_by_counter,
+    "repeated counters": source.repeated, "counter jumps": source.counter_jumps, "malformed frames": source.malformed,
+    "frames too short": source.too_short, "error frames": source.error, "remote frames": source.remote, "opened again": source.reopened,
+  };
+  for (const [name, count] of Object.entries(counts)) if (count) entries.push([name, count]);
+  for (const [reason, count] of Object.entries(axis.rejected)) entries.push(["cycles rejected: " + told(reason), count]);
+  for (const [reason, count] of Object.entries(axis.samples_rejected)) entries.push(["samples: " + told(reason), count]);
+  rows(byId("source"), entries);
+}
+
+function heard(kind, event) {
+  if (kind === "cycle" && event.axis === chosen) refresh();
+  if (kind === "cycle") return;
+  const list = byId("events"), item = document.createElement("li");
+  const time = event.published_at ? new Date(event.published_at).toLocaleString() : "clock not set";
+  const what = kind === "flag"
+    ? FLAGS[event.flag_from] + " → " + FLAGS[event.flag_to] + (event.evidence.reason ? " (" + told(event.evidence.reason) + ")" : "")
+    : kind === "test" ? "test alarm" : "acknowledged " + (event.latched ? FLAGS[event.latched] : "");
+  item.textContent = time + " · " + event.axis + " · " + what;
+  item.className = event.flag_to || "";
+  list.querySelector(".none")?.remove();
+  list.prepend(item);
+  while (list.children.length > 50) list.lastChild.remove();
+}
+
+// Axes with ticks, and a way from values to places on the canvas.
+function plane(canvas, x, y, logarithmic) {
+  const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
+  canvas.width = width * ratio; canvas.height = height * ratio;
+  const pen = canvas.getContext("2d");
+  pen.scale(ratio, ratio);
+  pen.font = "12px system-ui, sans-serif";
+  const left = 46, right = 8, top = 8, bottom = 22;
+  const up = logarithmic ? Math.log10 : (value) => value;
+  const placeX = (value) => left + (value - x[0]) / (x[1] - x[0]) * (width - left - right);
+  const placeY = (value) => height - bottom - (up(value) - up(y[0])) / (up(y[1]) - up(y[0])) * (height - top - bottom);
+  pen.strokeStyle = color("line"); pen.fillStyle = color("soft"); pen.lineWidth = 1;
+  const ticksY = logarithmic ? decades(y) : ticks(y, 5);
+  pen.textAlign = "right"; pen.textBaseline = "middle";
+  for (const value of ticksY) {
+    pen.beginPath(); pen.moveTo(left, placeY(value)); pen.lineTo(width - right, placeY(value)); pen.stroke();
+    pen.fillText(String(Number(value.toPrecision(3))), left - 6, placeY(value));
+  }
+  pen.textAlign = "center"; pen.textBaseline = "top";
+  for (const value of ticks(x, 6)) pen.fillText(String(Number(value.toPrecision(6))), placeX(value), height - bottom + 5);
+  return { pen, placeX, placeY, line(points, style, thickness = 1.5) {
+    pen.strokeStyle = style; pen.lineWidth = thickness; pen.beginPath();
+    points.forEach(([a, b], index) => index ? pen.lineTo(placeX(a), placeY(b)) : pen.moveTo(placeX(a), placeY(b)));
+    pen.stroke();
+  } };
+}
+
+function ticks([low, high], about) {
+  const raw = (high - low) / about, size = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].map((factor) => factor * size).find((step) => step >= raw);
+  const all = [];
+  for (let value = Math.ceil(low / step - 1e-9) * step; value <= high + step * 1e-9; value += step) all.push(value);
+  return all;
+}
+
+function decades([low, high]) {
+  const all = [];
+  for (let power = Math.floor(Math.log10(low)); power <= Math.ceil(Math.log10(high)); power++) {
+    for (const factor of high / low > 500 ? [1] : high / low > 20 ? [1, 3] : [1, 1.5, 2, 3, 5, 7]) {
+      const value = factor * 10 ** power;
+      if (value >= low && value <= high) all.push(value);
+    }
+  }
+  return all;
+}
+
+function range(values, least) {
+  let low = Math.min(...values), high = Math.max(...values);
+  if (!(high - low >= least)) { const middle = (low + high) / 2; low = middle - least / 2; high = middle + least / 2; }
+  const air = (high - low) * 0.05;
+  return [low - air, high + air];
+}
+
+function empty(canvas, text) {
+  const { pen } = plane(canvas, [0, 1], [0, 1]);
+  pen.clearRect(0, 0, canvas.clientWidth, canvas.clientHeight);
+  pen.fillStyle = color("soft"); pen.textAlign = "center";
+  pen.fillText(text, canvas.clientWidth / 2, canvas.clientHeight / 2);
+}
+
+function drawLive() {
+  if (live.length < 2) return empty(byId("live"), "no command yet");
+  const newest = live[live.length - 1][0];
+  const points = live.map(([t, command]) => [(t - newest) / 1e9, command]);
+  plane(byId("live"), [-LIVE_S, 0], range(points.map((point) => point[1]), 0.1)).line(points, color("accent"));
+}
+
+function drawCycles() {
+  const shown = cycles.filter((cycle) => cycle.points.length > 1);
+  if (!shown.length) return empty(byId("cycles"), "no cycle yet");
+  const all = shown.flatMap((cycle) => cycle.points);
+  const picture = plane(byId("cycles"), [0, Math.max(...all.map((point) => point[0]))], range(all.map((point) => point[1]), 0.1));
+  shown.forEach((cycle, index) => {
+    const newest = index === shown.length - 1;
+    picture.pen.globalAlpha = newest ? 1 : 0.25 + 0.5 * index / shown.length;
+    picture.line(cycle.points, color(cycle.reason ? "no_estimate" : cycle.flag), newest ? 2 : 1);
+    picture.pen.globalAlpha = 1;
+  });
+  byId("cycle-list").replaceChildren(...[...cycles].reverse().map((cycle) => {
+    const item = document.createElement("li");
+    item.className = cycle.flag;
+    item.textContent = "cycle " + cycle.cycle + " · " + (cycle.reason ? "rejected: " + told(cycle.reason)
+      : number(cycle.leak_flow_lpm) + " L/min · " + FLAGS[cycle.flag]);
+    return item;
+  }));
+}
+
+function drawTrend() {
+  const canvas = byId("trend");
+  if (!trend.length) return empty(canvas, "no estimate yet");
+  const flow = (point, area) => Math.max(area * point.leak_flow_lpm / point.leak_area_m2, 1e-3);
+  const newest = trend[trend.length - 1].t_ns, span = newest - trend[0].t_ns;
+  const [unit, name] = span > 2 * 864e11 ? [864e11, "days"] : span > 2 * 36e11 ? [36e11, "h"] : span > 12e10 ? [6e10, "min"] : [1e9, "s"];
+  const at = (point) => (point.t_ns - newest) / unit;
+  const usable = trend.filter((point) => point.leak_area_m2 > 0);
+  if (!usable.length) return empty(canvas, "no leak so far");
+  const low = Math.max(Math.min(...usable.map((point) => flow(point, point.interval90_m2[0]))), 0.005);
+  const high = Math.max(...usable.map((point) => flow(point, point.interval90_m2[1])), low * 3);
+  const picture = plane(canvas, [Math.min(at(usable[0]), -1e-3), 0], [low / 1.2, high * 1.2], true);
+  const clip = (value) => Math.max(value, low / 1.2);
+  picture.pen.fillStyle = color("band");
+  picture.pen.beginPath();
+  usable.forEach((point) => picture.pen.lineTo(picture.placeX(at(point)), picture.placeY(clip(flow(point, point.interval90_m2[1])))));
+  [...usable].reverse().forEach((point) => picture.pen.lineTo(picture.placeX(at(point)), picture.placeY(clip(flow(point, point.interval90_m2[0])))));
+  picture.pen.fill();
+  picture.line(usable.map((point) => [at(point), clip(point.leak_flow_lpm)]), color("accent"), 2);
+  picture.pen.fillStyle = color("soft"); picture.pen.textAlign = "right"; picture.pen.textBaseline = "top";
+  picture.pen.fillText(name + " before now", canvas.clientWidth - 10, 10);
+}
+
+byId("acknowledge").addEventListener("click", async () => {
+  await fetch("/api/v1/axes/" + encodeURIComponent(chosen) + "/acknowledge", { method: "POST" });
+});
+addEventListener("resize", () => { drawLive(); drawCycles(); drawTrend(); });
+drawLive(); drawCycles(); drawTrend();
+listen();

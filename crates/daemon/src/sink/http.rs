@@ -1,0 +1,349 @@
+//! The dashboard, JSON, metrics and health over HTTP.
+//!
+//! Bound to the host's own addresses unless told otherwise, and then each request must bring the token: as
+//! `Authorization: Bearer …`, or as the cookie that `/?token=…` leaves. Requests from pages of other places are refused.
+
+use std::convert::Infallible;
+use std::fs;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::Json;
+use axum::Router;
+use axum::extract::{Path, Query, Request, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::middleware::{self, Next};
+use axum::response::sse::{self, Sse};
+use axum::response::{IntoResponse, Redirect, Response};
+use axum::routing::{get, post};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use tokio::net::TcpListener;
+use tokio::sync::{mpsc, watch};
+use tokio_stream::wrappers::ReceiverStream;
+
+use super::prometheus;
+use crate::config::HttpConfig;
+use crate::failure::Failure;
+use crate::live::clock::{self, Clock};
+use crate::live::hub::{AxisStatus, Hub, Order, SinkStatus};
+use crate::source::live::SourceState;
+
+/// The dashboard's name among the sinks.
+pub const SINK: &str = "http";
+const PAGE: &str = include_str!("dashboard/index.html");
+const SCRIPT: &str = include_str!("dashboard/dashboard.js");
+const STYLE: &str = include_str!("dashboard/dashboard.css");
+/// Nothing is loaded from elsewhere, and no other page may frame this one.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
+                      frame-ancestors 'none'; base-uri 'none'; form-action 'none'";
+/// The dashboard hears this often.
+const BEAT: Duration = Duration::from_millis(250);
+/// Shortest token that is taken.
+const SHORTEST_TOKEN: usize = 16;
+
+struct Site {
+    hub: Arc<Hub>,
+    clock: Clock,
+    token: Option<String>,
+    listen: SocketAddr,
+    stop: watch::Receiver<bool>,
+}
+
+/// A site that is ready to be opened.
+pub struct Http {
+    site: Site,
+}
+
+impl Http {
+    /// Reads the token.
+    ///
+    /// # Errors
+    /// [`Failure`] where its file cannot be read, or it is too short to be one.
+    pub fn new(
+        config: &HttpConfig,
+        hub: Arc<Hub>,
+        clock: Clock,
+        stop: watch::Receiver<bool>,
+    ) -> Result<Self, Failure> {
+        let token = match &config.token_file {
+            Some(path) => {
+                let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+                let token = text.trim().to_owned();
+                if token.len() < SHORTEST_TOKEN {
+                    let what =
+                        format!("holds a token of {} characters; it needs {SHORTEST_TOKEN}", token.len());
+                    return Err(Failure::configuration(path, what));
+                }
+                Some(token)
+            }
+            None => None,
+        };
+        Ok(Http { site: Site { hub, clock, token, listen: config.listen, stop } })
+    }
+
+    /// Opens the port.
+    ///
+    /// # Errors
+    /// The port is taken or not allowed.
+    pub async fn bind(&self) -> io::Result<TcpListener> {
+        TcpListener::bind(self.site.listen).await
+    }
+
+    /// Serves until told to stop.
+    pub async fn run(self, listener: TcpListener) {
+        let mut stop = self.site.stop.clone();
+        let (hub, listen) = (Arc::clone(&self.site.hub), self.site.listen);
+        hub.update_sink(SINK, |sink| sink.detail = format!("http://{listen}/"));
+        let serve = axum::serve(listener, routes(Arc::new(self.site)));
+        let stopped = async move {
+            let _ = stop.changed().await;
+        };
+        if let Err(error) = serve.with_graceful_shutdown(stopped).await {
+            tracing::error!("http at {listen}: {error}");
+            hub.update_sink(SINK, |sink| (sink.good, sink.detail) = (false, error.to_string()));
+        }
+    }
+}
+
+fn routes(site: Arc<Site>) -> Router {
+    Router::new()
+        .route("/", get(page))
+        .route("/dashboard.js", get(async || asset("text/javascript; charset=utf-8", SCRIPT)))
+        .route("/dashboard.css", get(async || asset("text/css; charset=utf-8", STYLE)))
+        .route("/metrics", get(metrics))
+        .route("/api/v1/status", get(status))
+        .route("/api/v1/axes/{axis}", get(axis))
+        .route("/api/v1/axes/{axis}/trend", get(trend))
+        .route("/api/v1/axes/{axis}/cycles", get(cycles))
+        .route("/api/v1/axes/{axis}/acknowledge", post(acknowledge))
+        .route("/api/v1/events", get(events))
+        .layer(middleware::from_fn_with_state(Arc::clone(&site), admit))
+        // Whether it is well may be asked by everybody who gets here.
+        .route("/healthz", get(healthz))
+        .fallback(async || problem(StatusCode::NOT_FOUND, "there is nothing here; / is the dashboard"))
+        .layer(middleware::map_response(async |mut response: Response| {
+            let headers = response.headers_mut();
+            headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
+            headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+            headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+            headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+            response
+        }))
+        .with_state(site)
+}
+
+fn problem(code: StatusCode, what: &str) -> Response {
+    (code, Json(json!({ "error": what }))).into_response()
+}
+
+/// Lets in who may come in.
+async fn admit(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
+    let headers = request.headers();
+    if let Err(what) = check_origin(&site, headers) {
+        return problem(StatusCode::FORBIDDEN, what);
+    }
+    if let Some(token) = &site.token {
+        let brought = bearer(headers).or_else(|| cookie(headers));
+        if !brought.is_some_and(|brought| same(brought.as_bytes(), token.as_bytes()))
+            && !(request.uri().path() == "/" && request.uri().query().is_some())
+        {
+            return problem(
+                StatusCode::UNAUTHORIZED,
+                "bring the token: `Authorization: Bearer TOKEN`, or open /?token=TOKEN once",
+            );
+        }
+    }
+    next.run(request).await
+}
+
+/// A page of another place must not give orders, and no other name may lead here (DNS rebinding).
+fn check_origin(site: &Site, headers: &HeaderMap) -> Result<(), &'static str> {
+    let text = |name| headers.get(name).and_then(|value: &HeaderValue| value.to_str().ok());
+    let host = text(header::HOST).unwrap_or_default();
+    if let Some(origin) = text(header::ORIGIN)
+        && origin.split_once("://").is_none_or(|(_, place)| place != host)
+    {
+        return Err("requests from pages of other places are refused");
+    }
+    let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
+    let own = ["localhost", "127.0.0.1", "[::1]"].contains(&name) || name == site.listen.ip().to_string();
+    if site.token.is_none() && !own {
+        return Err("this daemon answers to its own address only; set http.token_file to open it to others");
+    }
+    Ok(())
+}
+
+fn bearer(headers: &HeaderMap) -> Option<&str> {
+    headers.get(header::AUTHORIZATION)?.to_str().ok()?.strip_prefix("Bearer ")
+}
+
+fn cookie(headers: &HeaderMap) -> Option<&str> {
+    let cookies = headers.get(header::COOKIE)?.to_str().ok()?;
+    cookies.split(';').find_map(|cookie| cookie.trim().strip_prefix("seepd_token="))
+}
+
+/// Compares in a time that tells nothing of where two tokens differ.
+fn same(a: &[u8], b: &[u8]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).fold(0, |differences, (a, b)| differences | (a ^ b)) == 0
+}
+
+#[derive(Deserialize)]
+struct Entry {
+    token: Option<String>,
+}
+
+async fn page(State(site): State<Arc<Site>>, Query(entry): Query<Entry>) -> Response {
+    if let Some(token) = &site.token
+        && let Some(brought) = entry.token
+    {
+        if !same(brought.as_bytes(), token.as_bytes()) {
+            return problem(StatusCode::UNAUTHORIZED, "this is not the token");
+        }
+        let cookie = format!("seepd_token={token}; Path=/; HttpOnly; SameSite=Strict; Max-Age=31536000");
+        let mut response = Redirect::to("/").into_response();
+        if let Ok(cookie) = HeaderValue::from_str(&cookie) {
+            response.headers_mut().insert(header::SET_COOKIE, cookie);
+        }
+        return response;
+    }
+    asset("text/html; charset=utf-8", PAGE)
+}
+
+fn asset(media_type: &'static str, text: &'static str) -> Response {
+    ([(header::CONTENT_TYPE, media_type)], text).into_response()
+}
+
+async fn metrics(State(site): State<Arc<Site>>) -> Response {
+    match prometheus::text(&site.hub.axes(), &site.hub.sinks()) {
+        Ok(text) => ([(header::CONTENT_TYPE, prometheus::MEDIA_TYPE)], text).into_response(),
+        Err(error) => problem(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
+    }
+}
+
+#[derive(Serialize)]
+struct Overview {
+    schema: &'static str,
+    version: &'static str,
+    run: String,
+    time: Option<String>,
+    now_ns: i64,
+    axes: Vec<AxisStatus>,
+    sinks: Vec<SinkStatus>,
+}
+
+fn overview(site: &Site) -> Overview {
+    Overview {
+        schema: "seepd.overview/1",
+        version: env!("CARGO_PKG_VERSION"),
+        run: site.hub.run().to_owned(),
+        time: clock::wall_text(),
+        now_ns: site.clock.now_ns(),
+        axes: site.hub.axes(),
+        sinks: site.hub.sinks(),
+    }
+}
+
+async fn status(State(site): State<Arc<Site>>) -> Json<Overview> {
+    Json(overview(&site))
+}
+
+fn no_axis(site: &Site, axis: &str) -> Response {
+    let axes: Vec<String> = site.hub.axes().into_iter().map(|status| status.axis).collect();
+    problem(StatusCode::NOT_FOUND, &format!("there is no axis {axis}; there are {}", axes.join(", ")))
+}
+
+async fn axis(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
+    site.hub.axis(&axis).map_or_else(|| no_axis(&site, &axis), |status| Json(status).into_response())
+}
+
+async fn trend(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
+    let trend = site.hub.view(&axis, |view| view.trend.iter().copied().collect::<Vec<_>>());
+    trend.map_or_else(|| no_axis(&site, &axis), |trend| Json(trend).into_response())
+}
+
+async fn cycles(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
+    let courses = site.hub.view(&axis, |view| view.courses.iter().cloned().collect::<Vec<_>>());
+    courses.map_or_else(|| no_axis(&site, &axis), |courses| Json(courses).into_response())
+}
+
+async fn acknowledge(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
+    if site.hub.order(&axis, Order::Acknowledge) {
+        (StatusCode::ACCEPTED, Json(json!({ "acknowledged": axis }))).into_response()
+    } else {
+        no_axis(&site, &axis)
+    }
+}
+
+/// 200 where every axis hears its machine, else 503 with what is wrong.
+async fn healthz(State(site): State<Arc<Site>>) -> Response {
+    let axes = site.hub.axes();
+    let ill: Vec<String> = axes
+        .iter()
+        .filter(|axis| axis.stale || axis.source.state == SourceState::Down)
+        .map(|axis| {
+            let why = axis.source.detail.clone().unwrap_or_else(|| "no command comes".into());
+            format!("{}: {why}", axis.axis)
+        })
+        .collect();
+    if ill.is_empty() {
+        (StatusCode::OK, "ok\n").into_response()
+    } else {
+        (StatusCode::SERVICE_UNAVAILABLE, format!("{}\n", ill.join("\n"))).into_response()
+    }
+}
+
+#[derive(Deserialize)]
+struct Wanted {
+    axis: Option<String>,
+}
+
+/// A stream of `status` (everything's condition), `live` (the command of one axis lately) and each event under its name.
+async fn events(State(site): State<Arc<Site>>, Query(wanted): Query<Wanted>) -> Response {
+    let (sender, receiver) = mpsc::channel::<Result<sse::Event, Infallible>>(32);
+    tokio::spawn(feed(site, wanted.axis, sender));
+    Sse::new(ReceiverStream::new(receiver))
+        .keep_alive(sse::KeepAlive::new().interval(Duration::from_secs(15)))
+        .into_response()
+}
+
+async fn feed(site: Arc<Site>, wanted: Option<String>, sender: mpsc::Sender<Result<sse::Event, Infallible>>) {
+    let mut publications = site.hub.subscribe();
+    let mut beats = tokio::time::interval(BEAT);
+    beats.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut stop = site.stop.clone();
+    let (mut beat, mut seen_ns) = (0u64, i64::MIN);
+    loop {
+        let event = tokio::select! {
+            _ = stop.changed() => return,
+            () = sender.closed() => return,
+            Some(publication) = publications.recv() => {
+                sse::Event::default().event(publication.kind.name()).id(&publication.axis).data(&publication.json)
+            }
+            _ = beats.tick() => {
+                beat += 1;
+                if beat % 4 == 1 {
+                    named("status", &overview(&site))
+                } else {
+                    let Some(axis) = wanted.as_deref() else { continue };
+                    let fresh = site.hub.view(axis, |view| {
+                        view.live.iter().filter(|(t_ns, _)| *t_ns > seen_ns).copied().collect::<Vec<_>>()
+                    });
+                    let fresh = fresh.unwrap_or_default();
+                    let Some((newest_ns, _)) = fresh.last() else { continue };
+                    seen_ns = *newest_ns;
+                    named("live", &fresh)
+                }
+            }
+        };
+        if sender.send(Ok(event)).await.is_err() {
+            return;
+        }
+    }
+}
+
+fn named(name: &str, value: &impl Serialize) -> sse::Event {
+    sse::Event::default().event(name).data(serde_json::to_string(value).unwrap_or_default())
+}

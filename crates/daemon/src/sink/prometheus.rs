@@ -1,0 +1,178 @@
+//! Conditions and counts in the text format that Prometheus reads (OpenMetrics 1.0).
+
+use std::fmt;
+use std::sync::atomic::AtomicU64;
+
+use prometheus_client::encoding::text::encode;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::registry::Registry;
+
+use crate::event::Flag;
+use crate::live::hub::{AxisStatus, SinkStatus};
+
+/// Media type of the text.
+pub const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+type Labels = Vec<(&'static str, String)>;
+type Gauges = Family<Labels, Gauge<f64, AtomicU64>>;
+type Counters = Family<Labels, Counter>;
+
+/// A scrape's text.
+///
+/// # Errors
+/// None that can happen: text is written into memory.
+pub fn text(axes: &[AxisStatus], sinks: &[SinkStatus]) -> Result<String, fmt::Error> {
+    let mut registry = Registry::with_prefix("seepd");
+    register_leak(&mut registry, axes);
+    register_flags(&mut registry, axes);
+    register_cycles(&mut registry, axes);
+    register_source(&mut registry, axes);
+    register_sinks(&mut registry, sinks);
+    let mut text = String::new();
+    encode(&mut text, &registry)?;
+    Ok(text)
+}
+
+fn of_axis(axis: &AxisStatus) -> Labels {
+    vec![("axis", axis.axis.clone())]
+}
+
+fn gauges<'a>(
+    registry: &mut Registry,
+    name: &str,
+    help: &str,
+    values: impl Iterator<Item = (&'a AxisStatus, f64)>,
+) {
+    let family = Gauges::default();
+    for (axis, value) in values {
+        family.get_or_create(&of_axis(axis)).set(value);
+    }
+    registry.register(name, help, family);
+}
+
+fn counters(registry: &mut Registry, name: &str, help: &str, values: impl Iterator<Item = (Labels, u64)>) {
+    let family = Counters::default();
+    for (labels, value) in values {
+        family.get_or_create(&labels).inc_by(value);
+    }
+    registry.register(name, help, family);
+}
+
+fn register_leak(registry: &mut Registry, axes: &[AxisStatus]) {
+    let known = || axes.iter().filter(|axis| axis.flag != Flag::NoEstimate);
+    let with = |value: fn(&AxisStatus) -> Option<f64>| {
+        known().filter_map(move |axis| value(axis).map(|value| (axis, value)))
+    };
+    gauges(registry, "leak_area_m2", "Leak area, last estimate", with(|axis| axis.leak_area_m2));
+    gauges(
+        registry,
+        "leak_area_low_m2",
+        "Lower end of the 90 % interval",
+        with(|axis| axis.interval90_m2.map(|interval| interval[0])),
+    );
+    gauges(
+        registry,
+        "leak_area_high_m2",
+        "Upper end of the 90 % interval",
+        with(|axis| axis.interval90_m2.map(|interval| interval[1])),
+    );
+    gauges(
+        registry,
+        "leak_flow_lpm",
+        "Leak flow at the reference pressure difference, L/min",
+        with(|axis| axis.leak_flow_lpm),
+    );
+}
+
+fn register_flags(registry: &mut Registry, axes: &[AxisStatus]) {
+    const FLAGS: [Flag; 5] = [Flag::NoEstimate, Flag::Healthy, Flag::Watch, Flag::Leak, Flag::Severe];
+    let family = Gauges::default();
+    let latched = Gauges::default();
+    for axis in axes {
+        for flag in FLAGS {
+            let labels = vec![("axis", axis.axis.clone()), ("flag", flag.name().to_owned())];
+            family.get_or_create(&labels).set(f64::from(u8::from(axis.flag == flag)));
+            if flag >= Flag::Watch {
+                let on = axis.latched == Some(flag) && !axis.acknowledged;
+                latched.get_or_create(&labels).set(f64::from(u8::from(on)));
+            }
+        }
+    }
+    registry.register("flag", "1 for the flag that is up", family);
+    registry.register("latched_unacknowledged", "1 for a latched flag that nobody has acknowledged", latched);
+    let stale = axes.iter().map(|axis| (axis, f64::from(u8::from(axis.stale))));
+    gauges(registry, "input_stale", "1 where no command comes", stale);
+}
+
+fn register_cycles(registry: &mut Registry, axes: &[AxisStatus]) {
+    let cycles = axes.iter().map(|axis| (of_axis(axis), axis.cycles));
+    counters(registry, "cycles", "Cycles with an estimate", cycles);
+    let by_reason = |what: fn(&AxisStatus) -> &std::collections::BTreeMap<&'static str, u64>| {
+        axes.iter().flat_map(move |axis| {
+            what(axis).iter().map(|(reason, count)| {
+                (vec![("axis", axis.axis.clone()), ("reason", (*reason).to_owned())], *count)
+            })
+        })
+    };
+    counters(registry, "cycles_rejected", "Cycles without an estimate", by_reason(|axis| &axis.rejected));
+    counters(
+        registry,
+        "samples_rejected",
+        "Samples left out or filled in",
+        by_reason(|axis| &axis.samples_rejected),
+    );
+}
+
+fn register_source(registry: &mut Registry, axes: &[AxisStatus]) {
+    let mut of = |name: &str, help: &str, value: fn(&AxisStatus) -> u64| {
+        counters(registry, name, help, axes.iter().map(|axis| (of_axis(axis), value(axis))));
+    };
+    of("frames", "Frames received", |axis| axis.source.frames);
+    of("samples", "Samples received", |axis| axis.source.samples);
+    of("frames_dropped_in_socket", "Frames that the kernel dropped", |axis| axis.source.dropped_in_socket);
+    of("frames_missing", "Frames lost, by their counter", |axis| axis.source.missing_by_counter);
+    of("frames_repeated", "Frames sent twice, by their counter", |axis| axis.source.repeated);
+    of("frames_malformed", "Frames of a wrong size", |axis| axis.source.malformed + axis.source.too_short);
+    of("frames_error", "Error frames", |axis| axis.source.error);
+    of("source_reopened", "Times that the input was opened again", |axis| axis.source.reopened);
+}
+
+fn register_sinks(registry: &mut Registry, sinks: &[SinkStatus]) {
+    let family = Gauges::default();
+    let waiting = Gauges::default();
+    let labels = |sink: &SinkStatus| vec![("sink", sink.name.clone())];
+    for sink in sinks {
+        family.get_or_create(&labels(sink)).set(f64::from(u8::from(sink.good)));
+        waiting.get_or_create(&labels(sink)).set(sink.waiting as f64);
+    }
+    registry.register("sink_good", "1 where the sink works", family);
+    registry.register("sink_waiting", "Events that wait", waiting);
+    let sent = sinks.iter().map(|sink| (labels(sink), sink.sent));
+    counters(registry, "sink_sent", "Events, samples or frames that went out", sent);
+    let dropped = sinks.iter().map(|sink| (labels(sink), sink.dropped));
+    counters(registry, "sink_dropped", "Events, samples or frames that were given up", dropped);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_axis_without_an_estimate_has_a_flag_and_no_leak() {
+        let mut status = AxisStatus::new("press \"1\"", 7e6);
+        status.leak_area_m2 = Some(1e-7);
+        let text_without = text(std::slice::from_ref(&status), &[]).unwrap();
+        assert!(
+            text_without.contains("seepd_flag{axis=\"press \\\"1\\\"\",flag=\"no_estimate\"} 1"),
+            "{text_without}"
+        );
+        assert!(!text_without.contains("seepd_leak_area_m2{"), "{text_without}");
+        assert!(text_without.ends_with("# EOF\n"));
+        status.flag = Flag::Healthy;
+        let text_with = text(&[status], &[SinkStatus::new("mqtt")]).unwrap();
+        assert!(text_with.contains("seepd_leak_area_m2{axis=\"press \\\"1\\\"\"} 1e-7"), "{text_with}");
+        assert!(text_with.contains("seepd_sink_good{sink=\"mqtt\"} 1"));
+    }
+}
