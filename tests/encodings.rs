@@ -31,6 +31,7 @@ fn mapping() -> Vec<(Signal, SignalMapping)> {
         scale,
         offset: 0.0,
         time: "stamp".into(),
+        bits: None,
     };
     vec![(Signal::Command, of("valve.percent", 0.01)), (Signal::PCap, of("pressures[1]", 1e5))]
 }

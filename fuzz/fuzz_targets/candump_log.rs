@@ -3,6 +3,7 @@
 use std::sync::LazyLock;
 
 use seepd::can::dbc::Dbc;
+use seepd::can::decode::FrameDecoder;
 use seepd::config::{Config, Selection};
 use seepd::source::{Source, candump::CandumpSource};
 
@@ -15,7 +16,8 @@ libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     for command in ["Normal.S2", "Extended.S8"] {
         let selection = Selection { command: Some(command.into()), ..Selection::default() };
         let mapping = Config { selection, ..Config::default() }.mapping();
-        let Ok(mut source) = CandumpSource::new(data, "log", mapping, Some(&DBC)) else { return };
+        let Ok(decoder) = FrameDecoder::new(mapping, None, Some(&DBC)) else { return };
+        let mut source = CandumpSource::new(data, "log", decoder);
         while let Ok(Some(_)) = source.next_sample() {}
         let _ = source.notes();
     }

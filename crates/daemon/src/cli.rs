@@ -41,10 +41,16 @@ enum Command {
     /// Watch axes live: CAN in; leakage, flags and a dashboard out
     #[cfg(feature = "live")]
     Run(commands::run::RunArguments),
+    /// Listen on a CAN interface and write a first configuration
+    #[cfg(feature = "live")]
+    Init(commands::init::InitArguments),
+    /// Send a marked test alarm through each sink
+    #[cfg(feature = "live")]
+    TestSinks(commands::test_sinks::TestSinksArguments),
     /// Say where simulator and machine part, and which effect causes it
     #[cfg(feature = "gap")]
     Gap(commands::gap::GapArguments),
-    /// Show what a log holds and propose the mapping that reads it
+    /// Show what a log or a CAN bus holds and propose the mapping that reads it
     Inspect(commands::inspect::InspectArguments),
     /// Check plant, model and configuration files
     Check(commands::check::CheckArguments),
@@ -77,6 +83,10 @@ pub fn main() -> ExitCode {
         Command::Replay(arguments) => commands::replay::run(arguments),
         #[cfg(feature = "live")]
         Command::Run(arguments) => commands::run::run(arguments),
+        #[cfg(feature = "live")]
+        Command::Init(arguments) => commands::init::run(arguments),
+        #[cfg(feature = "live")]
+        Command::TestSinks(arguments) => commands::test_sinks::run(arguments),
         #[cfg(feature = "gap")]
         Command::Gap(arguments) => commands::gap::run(arguments),
         Command::Inspect(arguments) => commands::inspect::run(arguments),

@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
-use crate::can::dbc::Dbc;
 use crate::cli::Outcome;
 use crate::config::{Config, load_model};
 use crate::failure::{Code, Failure};
 use crate::sink::terminal::print;
+use crate::source::frame_decoder;
 
 /// Checks plant, model and configuration files; tells line, key and the nearest known key of what is wrong.
 ///
@@ -136,28 +136,37 @@ fn check_plant(path: &Path, _text: &str) -> Result<String, Failure> {
 
 fn check_configuration(path: &Path) -> Result<String, Failure> {
     let config = Config::read(path)?;
-    let model = config.load_model().map_err(|failure| Failure::new(Code::Configuration, failure.message))?;
-    check_dbc(&config)?;
-    Ok(format!(
-        "axis {}, {} mapped signals, model of {} trees",
-        config.axis,
-        config.signals.len(),
-        model.ensemble().trees()
-    ))
+    let mut axes = Vec::new();
+    for axis in config.axes() {
+        let of_axis = |failure: Failure| {
+            Failure::new(
+                Code::Configuration,
+                format!("{}: axis {}: {}", path.display(), axis.axis, failure.message),
+            )
+        };
+        let model = axis.load_model().map_err(of_axis)?;
+        if axis.dbc.is_some() || axis.source.can.is_some() {
+            frame_decoder(axis).map_err(of_axis)?;
+        }
+        axes.push(format!(
+            "axis {}, {} mapped signals, model of {} trees",
+            axis.axis,
+            axis.signals.len(),
+            model.ensemble().trees()
+        ));
+    }
+    check_sinks(&config)?;
+    Ok(axes.join("; "))
 }
 
-/// Whether the DBC file, if there is one, names the mapped signals.
-fn check_dbc(config: &Config) -> Result<(), Failure> {
-    let Some(path) = &config.dbc else { return Ok(()) };
-    let dbc = Dbc::read(path).map_err(|failure| Failure::new(Code::Configuration, failure.message))?;
-    for (signal, mapping) in config.mapping() {
-        match dbc.find(&mapping.field) {
-            Err(message) if !mapping.may_be_missing(signal) => {
-                let message = format!("signals.{}: {message}", signal.name());
-                return Err(Failure::new(Code::Configuration, message));
-            }
-            _ => {}
-        }
-    }
+/// Whether the files that the sinks need can be read.
+#[cfg(feature = "live")]
+fn check_sinks(config: &Config) -> Result<(), Failure> {
+    let wrong = |failure: Failure| Failure::new(Code::Configuration, failure.message);
+    crate::live::check_sinks(config).map_err(wrong)
+}
+
+#[cfg(not(feature = "live"))]
+fn check_sinks(_config: &Config) -> Result<(), Failure> {
     Ok(())
 }

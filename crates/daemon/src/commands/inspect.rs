@@ -2,7 +2,9 @@
 
 use std::fs::File;
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+#[cfg(feature = "live")]
+use std::time::Duration;
 
 use clap::Args;
 
@@ -18,12 +20,15 @@ use crate::source::survey::{LogSurvey, survey};
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd inspect press-1.mcap\n  seepd inspect press-1.mcap > seepd.toml   # the mapping alone\n  \
-                        seepd inspect --dbc press.dbc candump.log\n  seepd inspect --json press-1.mcap | jq .topics"
+                        seepd inspect --dbc press.dbc candump.log\n  seepd inspect can0\n  seepd inspect --json press-1.mcap | jq .topics"
 )]
 pub struct InspectArguments {
-    /// Log: MCAP, CSV with a header row, or candump
+    /// Log (MCAP, CSV with a header row, candump), or a CAN interface such as can0
     #[arg(value_name = "LOG")]
     log: PathBuf,
+    /// How long to listen on an interface, s
+    #[arg(long, default_value_t = 5.0, value_name = "S")]
+    seconds: f64,
     /// Print one JSON object instead
     #[arg(long)]
     json: bool,
@@ -40,13 +45,8 @@ pub struct InspectArguments {
 /// # Errors
 /// [`Failure`] where the log cannot be read.
 pub fn run(arguments: &InspectArguments) -> Result<Outcome, Failure> {
-    let file = File::open(&arguments.log).map_err(|error| Failure::reading(&arguments.log, &error))?;
-    let name = arguments.log.display().to_string();
-    let bytes = file.metadata().map_or(0, |facts| facts.len());
-    let bar = byte_bar(bytes, "inspecting");
     let dbc = arguments.dbc.as_deref().map(Dbc::read).transpose()?;
-    let found = survey(bar.wrap_read(file), &name, &arguments.time_column, dbc.as_ref())?;
-    bar.finish_and_clear();
+    let found = look(&arguments.log, &arguments.time_column, dbc.as_ref(), arguments.seconds)?;
     if arguments.json {
         let text = serde_json::to_string_pretty(&found).map_err(|error| {
             Failure::new(Code::Internal, format!("writing the overview as JSON: {error}"))
@@ -61,6 +61,65 @@ pub fn run(arguments: &InspectArguments) -> Result<Outcome, Failure> {
         print(found.mapping_toml().as_bytes())?;
     }
     Ok(Outcome::Good)
+}
+
+/// Looks into a log, or listens on a CAN interface where there is one of that name and no such file.
+///
+/// # Errors
+/// [`Failure`] where neither can be read.
+pub(super) fn look(
+    place: &Path,
+    time_column: &str,
+    dbc: Option<&Dbc>,
+    seconds: f64,
+) -> Result<LogSurvey, Failure> {
+    let name = place.display().to_string();
+    if !place.exists() && is_interface(&name) {
+        return listen(&name, dbc, seconds);
+    }
+    let file = File::open(place).map_err(|error| Failure::reading(place, &error))?;
+    let bytes = file.metadata().map_or(0, |facts| facts.len());
+    let bar = byte_bar(bytes, "inspecting");
+    let found = survey(bar.wrap_read(file), &name, time_column, dbc)?;
+    bar.finish_and_clear();
+    Ok(found)
+}
+
+/// Whether the name is a network interface's, or a socket's that takes frames.
+pub(super) fn is_interface(name: &str) -> bool {
+    name.starts_with("unix:") || (!name.contains('/') && Path::new("/sys/class/net").join(name).exists())
+}
+
+#[cfg(feature = "live")]
+fn listen(interface: &str, dbc: Option<&Dbc>, seconds: f64) -> Result<LogSurvey, Failure> {
+    use crate::live::clock::Clock;
+    use crate::source::bus_survey::BusSurvey;
+    use crate::source::socketcan::FramePort;
+    use crate::source::survey::survey_of_bus;
+
+    if !(0.1..=3600.0).contains(&seconds) {
+        return Err(Failure::new(Code::Usage, format!("--seconds is {seconds}; it must lie in 0.1 … 3600")));
+    }
+    let failed = |error: io::Error| Failure::new(Code::NoInput, format!("{interface}: {error}"));
+    let clock = Clock::start();
+    let mut bus = BusSurvey::new(dbc);
+    super::run::runtime()?
+        .block_on(async {
+            let mut port = FramePort::open_filtered(interface, None, 4 << 20)?;
+            let time = Duration::from_secs_f64(seconds);
+            port.listen(&clock, time, |frame, time_ns| bus.take(interface.as_bytes(), frame, time_ns)).await
+        })
+        .map_err(failed)?;
+    let found = survey_of_bus(bus, interface, dbc.is_some());
+    if found.topics.is_empty() {
+        return Err(Failure::data(format!("{interface}: no frame came within {seconds} s")));
+    }
+    Ok(found)
+}
+
+#[cfg(not(feature = "live"))]
+fn listen(interface: &str, _dbc: Option<&Dbc>, _seconds: f64) -> Result<LogSurvey, Failure> {
+    Err(Failure::new(Code::Usage, format!("{interface}: this build has no live input; name a log")))
 }
 
 fn print_overview(found: &LogSurvey) -> io::Result<()> {
@@ -79,6 +138,9 @@ fn print_overview(found: &LogSurvey) -> io::Result<()> {
             write!(out, ", {} gaps, the longest {:.3} s", topic.gaps, topic.longest_gap_s)?;
         }
         writeln!(out)?;
+        if let Some(bits) = &topic.changing_bits {
+            writeln!(out, "  changing bits {bits}")?;
+        }
         if let Some(problem) = &topic.problem {
             writeln!(out, "  {problem}")?;
         }

@@ -7,6 +7,8 @@ pub mod check;
 pub mod demo;
 #[cfg(feature = "gap")]
 pub mod gap;
+#[cfg(feature = "live")]
+pub mod init;
 pub mod inspect;
 pub mod replay;
 #[cfg(feature = "live")]
@@ -16,5 +18,7 @@ pub mod shell;
 pub mod simulate;
 #[cfg(feature = "study")]
 pub mod study;
+#[cfg(feature = "live")]
+pub mod test_sinks;
 #[cfg(feature = "train")]
 pub mod train;

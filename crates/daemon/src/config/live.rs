@@ -29,6 +29,25 @@ pub struct BitsMapping {
 }
 
 impl BitsMapping {
+    /// The same as an inline table.
+    pub fn to_toml(&self) -> String {
+        let extended = self.extended.map_or(String::new(), |extended| format!("extended = {extended}, "));
+        let order = match self.order {
+            ByteOrder::LittleEndian => "little_endian",
+            ByteOrder::BigEndian => "big_endian",
+        };
+        let encoding = match self.encoding {
+            Encoding::Unsigned => "unsigned",
+            Encoding::Signed => "signed",
+            Encoding::Float32 => "float32",
+            Encoding::Float64 => "float64",
+        };
+        format!(
+            "{{ id = {:#x}, {extended}start = {}, length = {}, order = \"{order}\", encoding = \"{encoding}\" }}",
+            self.id, self.start, self.length
+        )
+    }
+
     /// The frame's identifier.
     ///
     /// # Errors

@@ -211,6 +211,11 @@ impl Config {
         if self.axes.is_empty() { std::slice::from_ref(self) } else { &self.axes }
     }
 
+    /// The axes without the tables of the whole daemon.
+    pub fn axis_tables(&self) -> Vec<Config> {
+        self.axes().iter().map(|axis| axis.clone().without_sinks()).collect()
+    }
+
     #[expect(clippy::type_complexity, reason = "compared, and nothing else")]
     fn sinks(
         &self,

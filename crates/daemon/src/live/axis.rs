@@ -10,7 +10,7 @@ use tokio::sync::{mpsc, watch};
 
 use super::clock::Clock;
 use super::hub::{AxisStatus, Course, Hub, LIVE_POINTS, Order, TrendPoint, cycle_end_ns};
-use super::state::{AxisState, Keeper};
+use super::state::{AxisState, Keeper, LastEstimate};
 use crate::alarm::{Alarm, AlarmState, Latch};
 use crate::config::{Config, Pace};
 use crate::event::{CycleLine, Event, Flag};
@@ -58,6 +58,7 @@ pub async fn run(
     if let Some(state) = around.keeper.restored(&config.axis) {
         pipeline.restore(Alarm::from(state.alarm));
         desk.latch = state.latch;
+        desk.estimate = state.estimate;
     }
     desk.tell(&pipeline, &source);
     let mut samples = Vec::with_capacity(1024);
@@ -102,6 +103,7 @@ struct Desk<'a> {
     /// A cycle or a flag came since the hub was last told.
     news: bool,
     last: Option<LastCycle>,
+    estimate: Option<LastEstimate>,
     /// The input's last complaint, so that each is logged once.
     complaint: Option<String>,
 }
@@ -111,7 +113,6 @@ struct Desk<'a> {
 struct LastCycle {
     cycle: u64,
     end_ns: i64,
-    estimate: Option<(f64, [f64; 2], f64)>,
 }
 
 impl<'a> Desk<'a> {
@@ -128,6 +129,7 @@ impl<'a> Desk<'a> {
             stale: false,
             news: true,
             last: None,
+            estimate: None,
             complaint: None,
         }
     }
@@ -177,11 +179,7 @@ impl<'a> Desk<'a> {
 
     fn note_cycle(&mut self, line: &CycleLine<'_>) {
         let end_ns = cycle_end_ns(line);
-        let estimate = match (line.leak_area_m2, line.interval90_m2, line.leak_flow_lpm) {
-            (Some(area), Some(interval), Some(flow)) => Some((area, interval, flow)),
-            _ => self.last.and_then(|last| last.estimate),
-        };
-        self.last = Some(LastCycle { cycle: line.cycle, end_ns, estimate });
+        self.last = Some(LastCycle { cycle: line.cycle, end_ns });
         let course = Course {
             cycle: line.cycle,
             flag: line.flag,
@@ -189,8 +187,19 @@ impl<'a> Desk<'a> {
             leak_flow_lpm: line.leak_flow_lpm,
             points: self.points.between(line.t_start_ns, end_ns),
         };
-        let point = line.leak_area_m2.and(estimate).map(|(leak_area_m2, interval90_m2, leak_flow_lpm)| {
-            TrendPoint { t_ns: end_ns, leak_area_m2, interval90_m2, leak_flow_lpm, flag: line.flag }
+        let estimate = match (line.leak_area_m2, line.interval90_m2, line.leak_flow_lpm) {
+            (Some(leak_area_m2), Some(interval90_m2), Some(leak_flow_lpm)) => {
+                Some(LastEstimate { leak_area_m2, interval90_m2, leak_flow_lpm })
+            }
+            _ => None,
+        };
+        self.estimate = estimate.or(self.estimate);
+        let point = estimate.map(|LastEstimate { leak_area_m2, interval90_m2, leak_flow_lpm }| TrendPoint {
+            t_ns: end_ns,
+            leak_area_m2,
+            interval90_m2,
+            leak_flow_lpm,
+            flag: line.flag,
         });
         self.around.hub.update_axis(line.axis, |_, view| {
             view.add_course(course);
@@ -251,7 +260,9 @@ impl<'a> Desk<'a> {
 
     fn keep(&self, pipeline: &Pipeline<'_>) {
         let alarm = AlarmState::from(pipeline.alarm());
-        self.around.keeper.keep(&self.config.axis, AxisState { alarm, latch: self.latch });
+        self.around
+            .keeper
+            .keep(&self.config.axis, AxisState { alarm, latch: self.latch, estimate: self.estimate });
     }
 
     fn tell_now_and_then(&mut self, pipeline: &Pipeline<'_>, source: &LiveSource, ended: bool) {
@@ -273,7 +284,7 @@ impl<'a> Desk<'a> {
         if self.stale && health.state == SourceState::Receiving {
             health.state = SourceState::Silent;
         }
-        let (latch, stale, last) = (self.latch, self.stale, self.last);
+        let (latch, stale, last, estimate) = (self.latch, self.stale, self.last, self.estimate);
         let summary = pipeline.summary();
         let fresh = &mut self.points.fresh;
         self.around.hub.update_axis(&self.config.axis, |status, view| {
@@ -284,9 +295,9 @@ impl<'a> Desk<'a> {
                 latched: latch.latched,
                 acknowledged: latch.acknowledged,
                 stale,
-                leak_area_m2: last.and_then(|last| last.estimate).map(|estimate| estimate.0),
-                interval90_m2: last.and_then(|last| last.estimate).map(|estimate| estimate.1),
-                leak_flow_lpm: last.and_then(|last| last.estimate).map(|estimate| estimate.2),
+                leak_area_m2: estimate.map(|estimate| estimate.leak_area_m2),
+                interval90_m2: estimate.map(|estimate| estimate.interval90_m2),
+                leak_flow_lpm: estimate.map(|estimate| estimate.leak_flow_lpm),
                 cycle: last.map(|last| last.cycle),
                 t_last_cycle_ns: last.map(|last| last.end_ns),
                 cycles: summary.cycles,

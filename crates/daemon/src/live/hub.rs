@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use tokio::sync::{mpsc, watch};
 
 use crate::event::{CycleLine, Event, Flag, FlagEvent};
@@ -88,7 +88,7 @@ impl AxisStatus {
 }
 
 /// A point of the leak's trend.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TrendPoint {
     /// End of the cycle, ns on the daemon's line of time.
     pub t_ns: i64,
@@ -342,6 +342,12 @@ impl Hub {
     /// Something of an axis's view.
     pub fn view<T>(&self, name: &str, look: impl FnOnce(&AxisView) -> T) -> Option<T> {
         self.lock().axes.get(name).map(|axis| look(&axis.view))
+    }
+
+    /// Trends of all axes by name.
+    pub fn trends(&self) -> BTreeMap<String, Vec<TrendPoint>> {
+        let trend = |axis: &Axis| axis.view.trend.iter().copied().collect();
+        self.lock().axes.iter().map(|(name, axis)| (name.clone(), trend(axis))).collect()
     }
 
     /// Conditions of all sinks.

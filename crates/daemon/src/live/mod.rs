@@ -12,6 +12,7 @@ pub mod state;
 pub mod systemd;
 
 use std::fs;
+use std::hash::{BuildHasher, RandomState};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -35,13 +36,15 @@ use crate::source::live::LiveSource;
 use axis::Surroundings;
 use clock::Clock;
 use hub::{AxisStatus, Hub};
-use state::Keeper;
+use state::{Keeper, Trends, read_trends, write_trends};
 use systemd::{Watchdog, tell};
 
 /// Time that tasks have to end by themselves.
 const ENDING: Duration = Duration::from_millis(1200);
 /// Wait before a port that is taken is tried again.
 const RETRY_PORT: Duration = Duration::from_secs(3);
+/// The trends, which are for people, are written this often.
+const TREND_EVERY: Duration = Duration::from_secs(600);
 /// The main loop looks for ended axes this often.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -49,6 +52,23 @@ const LOOK: Duration = Duration::from_millis(100);
 pub fn state_folder(config: &Config) -> PathBuf {
     let of_service = || std::env::var_os("STATE_DIRECTORY").map(PathBuf::from);
     config.state_dir.clone().or_else(of_service).unwrap_or_else(|| "seepd-state".into())
+}
+
+/// Whether the sinks' files can be read; nothing is opened, made or sent.
+///
+/// # Errors
+/// [`Failure`] of the first that cannot.
+pub fn check_sinks(config: &Config) -> Result<(), Failure> {
+    sink_configs(config).iter().try_for_each(check_sink)
+}
+
+fn check_sink(config: &SinkConfig) -> Result<(), Failure> {
+    match config {
+        SinkConfig::Http(http) => http::token(http).map(drop),
+        SinkConfig::Mqtt(mqtt) => mqtt::credentials(mqtt).map(drop),
+        SinkConfig::Can(frame, _) => Layout::new(frame).map(drop),
+        SinkConfig::Recording(..) => Ok(()),
+    }
 }
 
 /// Runs the daemon with a configuration file until it is told to stop, or all of its logs have been read.
@@ -107,6 +127,8 @@ struct Daemon {
     sinks: Vec<RunningSink>,
     recorder: watch::Sender<Option<Recorder>>,
     watchdog: Watchdog,
+    /// Trends of an earlier run, until their axes take them up.
+    trends: Trends,
 }
 
 /// An axis whose files have been read and found good.
@@ -123,6 +145,7 @@ impl Daemon {
             clock: Clock::start(),
             hub: Hub::new(run_name()),
             keeper: Keeper::open(&state_folder)?,
+            trends: read_trends(&state_folder),
             state_folder,
             axes: Vec::new(),
             sinks: Vec::new(),
@@ -134,12 +157,12 @@ impl Daemon {
     /// Starts sinks, then axes. An axis that cannot be started leaves the others alone, unless it is the only one.
     fn start(&mut self, config: &Config) -> Result<(), Failure> {
         let sinks = sink_configs(config);
-        sinks.iter().try_for_each(|sink| self.check_sink(sink))?;
+        sinks.iter().try_for_each(check_sink)?;
         for sink in sinks {
             self.start_sink(sink)?;
         }
         let mut first_failure = None;
-        for axis in config.axes() {
+        for axis in &config.axis_tables() {
             match self.prepare(axis) {
                 Ok(ready) => self.start_axis(ready),
                 Err(failure) => {
@@ -176,6 +199,11 @@ impl Daemon {
         let (stop, stopped) = watch::channel(false);
         let progress = Arc::new(AtomicU64::new(0));
         self.hub.add_axis(AxisStatus::new(&config.axis, config.reference_dp_pa), order_sender);
+        if let Some(trend) = self.trends.remove(&config.axis) {
+            self.hub.update_axis(&config.axis, |_, view| {
+                trend.into_iter().for_each(|point| view.add_trend(point))
+            });
+        }
         let around = Surroundings {
             hub: Arc::clone(&self.hub),
             keeper: self.keeper.clone(),
@@ -187,19 +215,6 @@ impl Daemon {
         let task = tokio::spawn(axis::run(config.clone(), model, source, around, orders, stopped));
         self.axes.push(RunningAxis { config, model_changed, stop, task, progress });
         self.watchdog.watch(self.axes.iter().map(|axis| Arc::clone(&axis.progress)).collect());
-    }
-
-    /// Whether a sink's files can be read; nothing is started yet.
-    fn check_sink(&self, config: &SinkConfig) -> Result<(), Failure> {
-        let (_, stopped) = watch::channel(false);
-        match config {
-            SinkConfig::Http(http) => Http::new(http, Arc::clone(&self.hub), self.clock, stopped).map(drop),
-            SinkConfig::Mqtt(mqtt) => {
-                Broker::new(mqtt, &self.spool_folder(), Arc::clone(&self.hub)).map(drop)
-            }
-            SinkConfig::Can(frame, _) => Layout::new(frame).map(drop),
-            SinkConfig::Recording(..) => Ok(()),
-        }
     }
 
     fn spool_folder(&self) -> PathBuf {
@@ -246,6 +261,8 @@ impl Daemon {
         let mut kept = self.keeper.changes();
         let mut events = self.hub.subscribe();
         let watch_every = self.watchdog.every.unwrap_or(LOOK);
+        let mut trend = tokio::time::interval(TREND_EVERY);
+        trend.tick().await;
         let mut watch = tokio::time::interval(watch_every.min(LOOK * 5));
         watch.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
@@ -255,6 +272,7 @@ impl Daemon {
                 _ = reload.recv() => self.reload(path).await,
                 Some(event) = events.recv() => self.record(&event),
                 _ = kept.changed() => self.write_state().await,
+                _ = trend.tick() => self.write_trends().await,
                 _ = watch.tick() => {
                     if self.watchdog.every.is_some() {
                         self.watchdog.feed();
@@ -295,6 +313,14 @@ impl Daemon {
         }
     }
 
+    async fn write_trends(&self) {
+        let (trends, folder) = (self.hub.trends(), self.state_folder.clone());
+        let written = tokio::task::spawn_blocking(move || write_trends(&folder, trends)).await;
+        if let Ok(Err(error)) = written {
+            tracing::error!("the trends in {} cannot be written: {error}", self.state_folder.display());
+        }
+    }
+
     /// Takes a changed configuration over, if all of it is good; what it does not change goes on undisturbed.
     async fn reload(&mut self, path: &Path) {
         tell(&[NotifyState::Reloading, monotonic()]);
@@ -314,24 +340,25 @@ impl Daemon {
             ));
         }
         let sinks = sink_configs(&config);
-        sinks.iter().try_for_each(|sink| self.check_sink(sink))?;
+        sinks.iter().try_for_each(check_sink)?;
         let same = |running: &RunningAxis, axis: &Config| {
             running.config == *axis && running.model_changed == changed(axis) && !running.task.is_finished()
         };
+        let axes = config.axis_tables();
         let mut ready = Vec::new();
-        for axis in config.axes() {
+        for axis in &axes {
             if !self.axes.iter().any(|running| same(running, axis)) {
                 ready.push(self.prepare(axis)?);
             }
         }
         let (stay, go): (Vec<_>, Vec<_>) = std::mem::take(&mut self.axes)
             .into_iter()
-            .partition(|running| config.axes().iter().any(|axis| same(running, axis)));
+            .partition(|running| axes.iter().any(|axis| same(running, axis)));
         self.axes = stay;
         for axis in go {
             let name = axis.config.axis.clone();
             end_axis(axis).await;
-            if !config.axes().iter().any(|axis| axis.axis == name) {
+            if !axes.iter().any(|axis| axis.axis == name) {
                 self.hub.remove_axis(&name);
             }
         }
@@ -365,6 +392,7 @@ impl Daemon {
             end_axis(axis).await;
         }
         self.write_state().await;
+        self.write_trends().await;
         let ends: Vec<_> =
             std::mem::take(&mut self.sinks).into_iter().map(|sink| tokio::spawn(sink.end())).collect();
         for end in ends {
@@ -459,9 +487,7 @@ fn changed(config: &Config) -> Option<SystemTime> {
     files.into_iter().flatten().filter_map(|path| fs::metadata(path).ok()?.modified().ok()).max()
 }
 
-/// A name that no other run has.
+/// A name that no other run has: 64 random bits, which the standard library takes from the system.
 fn run_name() -> String {
-    let uuid = fs::read_to_string("/proc/sys/kernel/random/uuid").unwrap_or_default();
-    let short: String = uuid.chars().filter(char::is_ascii_hexdigit).take(12).collect();
-    if short.len() == 12 { short } else { format!("{:x}", Clock::start().now_ns()) }
+    format!("{:016x}", RandomState::new().hash_one(Clock::start().now_ns()))
 }

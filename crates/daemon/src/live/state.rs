@@ -14,12 +14,16 @@ use tokio::sync::watch;
 
 use crate::alarm::{AlarmState, Latch};
 use crate::failure::Failure;
+use crate::live::hub::TrendPoint;
 
 /// Version of the file that is written.
 const SCHEMA: &str = "seepd.state/2";
 /// The first one, which had no latch: each axis was its alarm alone.
 const SCHEMA_1: &str = "seepd.state/1";
 const NAME: &str = "state.json";
+/// The axes' trends, which are for people: written now and then, and begun anew where they cannot be read.
+const TREND_NAME: &str = "trend.json";
+const TREND_SCHEMA: &str = "seepd.trend/1";
 
 /// What is kept of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -28,6 +32,20 @@ pub struct AxisState {
     pub alarm: AlarmState,
     /// Latch.
     pub latch: Latch,
+    /// The last estimate.
+    #[serde(default)]
+    pub estimate: Option<LastEstimate>,
+}
+
+/// An axis's last estimate.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LastEstimate {
+    /// Leak area, m².
+    pub leak_area_m2: f64,
+    /// Its interval, m².
+    pub interval90_m2: [f64; 2],
+    /// The same as a flow at the reference pressure difference, L/min.
+    pub leak_flow_lpm: f64,
 }
 
 type Axes = BTreeMap<String, AxisState>;
@@ -59,7 +77,8 @@ pub fn parse(text: &str) -> Result<BTreeMap<String, AxisState>, String> {
         }
         SCHEMA_1 => {
             let file: StateFile1 = serde_json::from_str(text).map_err(|error| error.to_string())?;
-            let taken_over = |(axis, alarm)| (axis, AxisState { alarm, latch: Latch::default() });
+            let taken_over =
+                |(axis, alarm)| (axis, AxisState { alarm, latch: Latch::default(), estimate: None });
             Ok(file.axes.into_iter().map(taken_over).collect())
         }
         other => Err(format!("has the schema {other}; this version reads {SCHEMA} and older")),
@@ -123,6 +142,38 @@ impl Keeper {
     }
 }
 
+/// The axes' trends by name.
+pub type Trends = BTreeMap<String, Vec<TrendPoint>>;
+
+#[derive(Serialize, Deserialize)]
+struct TrendFile {
+    schema: String,
+    axes: Trends,
+}
+
+/// Reads the trends that an earlier run left; none where there are none that can be read.
+pub fn read_trends(folder: &Path) -> Trends {
+    let path = folder.join(TREND_NAME);
+    let Ok(text) = fs::read(&path) else { return Trends::new() };
+    match serde_json::from_slice::<TrendFile>(&text) {
+        Ok(file) if file.schema == TREND_SCHEMA => file.axes,
+        _ => {
+            let aside = set_aside(&path);
+            tracing::warn!("{}: is no file of trends; kept as {aside}", path.display());
+            Trends::new()
+        }
+    }
+}
+
+/// Writes the trends.
+///
+/// # Errors
+/// Writing failed.
+pub fn write_trends(folder: &Path, axes: Trends) -> io::Result<()> {
+    let text = serde_json::to_vec(&TrendFile { schema: TREND_SCHEMA.into(), axes })?;
+    write_durably(&folder.join(TREND_NAME), &text)
+}
+
 /// Puts a file in place whole: after a power cut there is the old one or the new one.
 ///
 /// # Errors
@@ -175,10 +226,12 @@ mod tests {
         let folder = folder.path().join("deep/down");
         let keeper = Keeper::open(&folder).unwrap();
         let latch = Latch { latched: Some(Flag::Leak), acknowledged: true };
-        keeper.keep("press", AxisState { alarm: leaking(), latch });
+        let estimate =
+            Some(LastEstimate { leak_area_m2: 1e-7, interval90_m2: [0.9e-7, 1.1e-7], leak_flow_lpm: 0.5 });
+        keeper.keep("press", AxisState { alarm: leaking(), latch, estimate });
         keeper.write(&folder).unwrap();
         let again = Keeper::open(&folder).unwrap();
-        assert_eq!(again.restored("press"), Some(AxisState { alarm: leaking(), latch }));
+        assert_eq!(again.restored("press"), Some(AxisState { alarm: leaking(), latch, estimate }));
         assert_eq!(again.restored("other"), None);
     }
 
@@ -187,7 +240,24 @@ mod tests {
         let alarm = serde_json::to_string(&leaking()).unwrap();
         let text = format!(r#"{{"schema":"seepd.state/1","axes":{{"press":{alarm}}}}}"#);
         let axes = parse(&text).unwrap();
-        assert_eq!(axes["press"], AxisState { alarm: leaking(), latch: Latch::default() });
+        assert_eq!(axes["press"], AxisState { alarm: leaking(), latch: Latch::default(), estimate: None });
+    }
+
+    #[test]
+    fn trends_come_back_and_damaged_ones_begin_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let point = TrendPoint {
+            t_ns: 1,
+            leak_area_m2: 1e-7,
+            interval90_m2: [0.0, 2e-7],
+            leak_flow_lpm: 0.5,
+            flag: Flag::Watch,
+        };
+        let trends = Trends::from([("press".to_owned(), vec![point; 3])]);
+        write_trends(folder.path(), trends.clone()).unwrap();
+        assert_eq!(read_trends(folder.path()), trends);
+        fs::write(folder.path().join(TREND_NAME), "[]").unwrap();
+        assert_eq!(read_trends(folder.path()), Trends::new());
     }
 
     #[test]

@@ -68,19 +68,7 @@ impl Http {
         clock: Clock,
         stop: watch::Receiver<bool>,
     ) -> Result<Self, Failure> {
-        let token = match &config.token_file {
-            Some(path) => {
-                let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
-                let token = text.trim().to_owned();
-                if token.len() < SHORTEST_TOKEN {
-                    let what =
-                        format!("holds a token of {} characters; it needs {SHORTEST_TOKEN}", token.len());
-                    return Err(Failure::configuration(path, what));
-                }
-                Some(token)
-            }
-            None => None,
-        };
+        let token = token(config)?;
         Ok(Http { site: Site { hub, clock, token, listen: config.listen, stop } })
     }
 
@@ -106,6 +94,22 @@ impl Http {
             hub.update_sink(SINK, |sink| (sink.good, sink.detail) = (false, error.to_string()));
         }
     }
+}
+
+/// The token that requests must bring.
+///
+/// # Errors
+/// [`Failure`] where its file cannot be read, or it is too short to be one.
+pub fn token(config: &HttpConfig) -> Result<Option<String>, Failure> {
+    let Some(path) = &config.token_file else { return Ok(None) };
+    let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+    let token = text.trim().to_owned();
+    if token.len() < SHORTEST_TOKEN || !token.chars().all(|c| c.is_ascii_graphic() && c != ';') {
+        let what =
+            format!("holds no token: it needs {SHORTEST_TOKEN} characters and more, without spaces and `;`");
+        return Err(Failure::configuration(path, what));
+    }
+    Ok(Some(token))
 }
 
 fn routes(site: Arc<Site>) -> Router {

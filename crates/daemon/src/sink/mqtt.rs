@@ -19,9 +19,11 @@ use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::config::{MqttConfig, MqttVersion};
+use crate::event::Flag;
 use crate::failure::{Code, Failure};
-use crate::live::hub::{Hub, Order, Publication};
+use crate::live::hub::{AxisStatus, Hub, Order, Publication};
 use crate::live::spool::Spool;
+use crate::source::live::SourceState;
 
 /// The broker's name among the sinks.
 pub const SINK: &str = "mqtt";
@@ -31,8 +33,10 @@ const KEEP_ALIVE: Duration = Duration::from_secs(15);
 const WAITS: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(30));
 /// Time in which a broker must confirm an event.
 const CONFIRMATION: Duration = Duration::from_secs(20);
-/// An axis's condition is told at most this often.
+/// News of an axis's condition are told at most this often.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
+/// Counts alone are told this often.
+const COUNTS_EVERY: Duration = Duration::from_secs(60);
 /// Time for a farewell.
 const FAREWELL: Duration = Duration::from_millis(500);
 /// Requests under way to the connection.
@@ -80,6 +84,19 @@ pub struct Broker {
     retry_at: Instant,
     wait: Duration,
     sent: u64,
+    /// Whether this client announces itself as the daemon and takes orders.
+    presence: bool,
+    /// What was last told of the axes, and when their counts are due.
+    told: Vec<News>,
+    counts_at: Instant,
+}
+
+/// What of a condition is worth a message at once.
+type News = (String, Option<u64>, Flag, Option<Flag>, bool, bool, SourceState);
+
+fn news(status: &AxisStatus) -> News {
+    let AxisStatus { axis, cycle, flag, latched, acknowledged, stale, source, .. } = status;
+    (axis.clone(), *cycle, *flag, *latched, *acknowledged, *stale, source.state)
 }
 
 impl Broker {
@@ -88,18 +105,13 @@ impl Broker {
     /// # Errors
     /// [`Failure`] where one of these files cannot be read.
     pub fn new(config: &MqttConfig, spool_folder: &Path, hub: Arc<Hub>) -> Result<Self, Failure> {
-        let password = match &config.password_file {
-            Some(path) => {
-                let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
-                Some(text.trim_end_matches(['\r', '\n']).to_owned())
-            }
-            None => None,
-        };
-        let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-        let client_id = config.client_id.clone().unwrap_or_else(|| format!("seepd-{}", host.trim()));
+        let (password, tls) = credentials(config)?;
+        let host = nix::unistd::gethostname().unwrap_or_default();
+        let client_id =
+            config.client_id.clone().unwrap_or_else(|| format!("seepd-{}", host.to_string_lossy()));
         let now = now();
         Ok(Broker {
-            tls: if config.tls { Some(Arc::new(tls(config)?)) } else { None },
+            tls,
             spool: Arc::new(Mutex::new(Spool::open(spool_folder, config.spool_events)?)),
             config: config.clone(),
             client_id,
@@ -111,7 +123,16 @@ impl Broker {
             retry_at: now,
             wait: WAITS.0,
             sent: 0,
+            presence: true,
+            told: Vec::new(),
+            counts_at: now,
         })
+    }
+
+    /// Keeps up as another client than the daemon: sends events, and neither conditions nor that it is there.
+    pub async fn run_without_presence(mut self, stop: watch::Receiver<bool>) {
+        self.presence = false;
+        self.run(stop).await;
     }
 
     /// Keeps up until told to stop.
@@ -207,7 +228,17 @@ impl Broker {
     }
 
     async fn send_status(&mut self) {
-        for status in self.hub.axes() {
+        if !self.presence {
+            return;
+        }
+        let axes = self.hub.axes();
+        let news: Vec<News> = axes.iter().map(news).collect();
+        if self.told == news && now() < self.counts_at {
+            return;
+        }
+        self.told = news;
+        self.counts_at = now() + COUNTS_EVERY;
+        for status in axes {
             let json = serde_json::to_string(&status).unwrap_or_default();
             self.publish(&format!("{}/status", status.axis), json, QoS::AtMostOnce, true).await;
         }
@@ -234,6 +265,7 @@ impl Broker {
             Told::Connected => {
                 self.connected = true;
                 self.wait = WAITS.0;
+                self.told.clear();
                 tracing::info!("connected to the broker at {}:{}", self.config.host, self.config.port());
                 self.greet();
                 self.tell("connected");
@@ -280,6 +312,9 @@ impl Broker {
 
     /// Announces this daemon and asks for orders. The requests wait in the connection's queue, which is empty now.
     fn greet(&self) {
+        if !self.presence {
+            return;
+        }
         let status = format!("{}/status", self.config.prefix);
         let orders = format!("{}/+/acknowledge", self.config.prefix);
         let asked = match self.connection.as_ref().map(|connection| &connection.client) {
@@ -303,7 +338,9 @@ impl Broker {
             return;
         }
         let _ = timeout(FAREWELL, async {
-            self.publish("status", "offline".into(), QoS::AtMostOnce, true).await;
+            if self.presence {
+                self.publish("status", "offline".into(), QoS::AtMostOnce, true).await;
+            }
             match self.connection.as_mut() {
                 Some(Connection { client: Client::V3(client), .. }) => drop(client.disconnect().await),
                 Some(Connection { client: Client::V5(client), .. }) => drop(client.disconnect().await),
@@ -331,7 +368,9 @@ impl Broker {
         let mut options = MqttOptions::new(&self.client_id, &self.config.host, self.config.port());
         options.set_keep_alive(KEEP_ALIVE).set_clean_session(true).set_max_packet_size(64 << 10, 256 << 10);
         let will = format!("{}/status", self.config.prefix);
-        options.set_last_will(LastWill::new(will, "offline", QoS::AtLeastOnce, true));
+        if self.presence {
+            options.set_last_will(LastWill::new(will, "offline", QoS::AtLeastOnce, true));
+        }
         if let Some(user) = &self.config.username {
             options.set_credentials(user, self.password.as_deref().unwrap_or_default());
         }
@@ -363,7 +402,9 @@ impl Broker {
         let mut options = MqttOptions::new(&self.client_id, &self.config.host, self.config.port());
         options.set_keep_alive(KEEP_ALIVE).set_clean_start(true).set_max_packet_size(Some(64 << 10));
         let will = format!("{}/status", self.config.prefix);
-        options.set_last_will(LastWill::new(will, "offline", qos_5(QoS::AtLeastOnce), true, None));
+        if self.presence {
+            options.set_last_will(LastWill::new(will, "offline", qos_5(QoS::AtLeastOnce), true, None));
+        }
         if let Some(user) = &self.config.username {
             options.set_credentials(user, self.password.as_deref().unwrap_or_default());
         }
@@ -413,6 +454,18 @@ fn qos_5(qos: QoS) -> v5::mqttbytes::QoS {
 
 fn now() -> Instant {
     crate::live::clock::instant()
+}
+
+/// Password and certificates.
+///
+/// # Errors
+/// [`Failure`] where one of their files cannot be read.
+pub fn credentials(config: &MqttConfig) -> Result<(Option<String>, Option<Arc<ClientConfig>>), Failure> {
+    let read = |path: &Path| fs::read_to_string(path).map_err(|error| Failure::reading(path, &error));
+    let password = config.password_file.as_deref().map(read).transpose()?;
+    let password = password.map(|text| text.trim_end_matches(['\r', '\n']).to_owned());
+    let tls = if config.tls { Some(Arc::new(tls(config)?)) } else { None };
+    Ok((password, tls))
 }
 
 fn tls(config: &MqttConfig) -> Result<ClientConfig, Failure> {

@@ -6,6 +6,7 @@ use seepd_signals::Signal;
 use serde::Serialize;
 
 use super::survey::{FieldSurvey, TopicSurvey};
+use crate::config::BitsMapping;
 
 /// Where a signal seems to be.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -16,8 +17,17 @@ pub struct Guess {
     pub field: String,
     /// Factor to SI.
     pub scale: f64,
+    /// Where it is in a CAN frame, where no DBC file names it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bits: Option<BitsMapping>,
     #[serde(skip)]
     score: i32,
+}
+
+impl Guess {
+    pub(crate) fn of_bits(interface: String, bits: BitsMapping, scale: f64) -> Self {
+        Guess { topic: interface, field: String::new(), scale, bits: Some(bits), score: 0 }
+    }
 }
 
 /// Words in a field's path that speak for a signal, the strongest first.
@@ -40,7 +50,7 @@ pub(crate) fn guess(topics: &mut [TopicSurvey]) -> BTreeMap<Signal, Guess> {
             let Some((signal, score, scale)) = guess_field(&topic.topic, field) else { continue };
             if mapping.get(&signal).is_none_or(|other| score > other.score) {
                 let topic = topic.mapping_topic.clone();
-                mapping.insert(signal, Guess { topic, field: field.path.clone(), scale, score });
+                mapping.insert(signal, Guess { topic, field: field.path.clone(), scale, bits: None, score });
             }
         }
     }

@@ -1,5 +1,6 @@
 //! Where samples come from: one file a kind of source.
 
+pub(crate) mod bus_survey;
 pub mod candump;
 pub mod csv;
 pub mod decode;

@@ -90,6 +90,10 @@ impl CanSource {
         }
         match tokio::time::timeout(IDLE, port.socket.readable()).await {
             Err(_) => {
+                // An interface that goes away wakes nobody who waits for frames.
+                if let Ok(Some(error)) = port.socket.take_error() {
+                    return self.lose(&error);
+                }
                 if self.health.state == SourceState::Down && is_up(&self.place) {
                     self.health.state = SourceState::Silent;
                     self.health.detail = None;

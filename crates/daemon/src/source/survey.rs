@@ -8,14 +8,14 @@ use seepd_signals::Signal;
 use serde::Serialize;
 use serde_json::Value;
 
+use super::bus_survey::{BusSurvey, RawGuess};
 use super::candump::next_line;
 use super::decode::Decoder;
 use super::guess::{Guess, guess};
 use super::kind::{HEAD_BYTES, LogKind};
 use super::mcap_file::{ChannelRecord, McapFile, SchemaRecord};
-use crate::can::Identifier;
 use crate::can::candump::Line;
-use crate::can::dbc::{CanSignal, Dbc, Reading};
+use crate::can::dbc::Dbc;
 use crate::failure::{Code, Failure};
 
 /// `seepd.inspect/1`: what a log holds.
@@ -58,15 +58,18 @@ pub struct TopicSurvey {
     pub problem: Option<String>,
     /// Messages that do not fit their encoding.
     pub unreadable: u64,
+    /// Bits that change in a CAN frame's bytes, in hexadecimal, the first byte first.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub changing_bits: Option<String>,
     /// Numeric fields.
     pub fields: Vec<FieldSurvey>,
     /// What a mapping calls it.
     #[serde(skip)]
     pub(crate) mapping_topic: String,
     #[serde(skip)]
-    times_ns: Vec<i64>,
+    pub(super) times_ns: Vec<i64>,
     #[serde(skip)]
-    decoder: Option<Decoder>,
+    pub(super) decoder: Option<Decoder>,
 }
 
 /// A numeric field.
@@ -105,23 +108,20 @@ pub fn survey<R: Read + Seek>(
     let mut head = Vec::new();
     input.by_ref().take(HEAD_BYTES as u64).read_to_end(&mut head).map_err(io)?;
     input.seek(SeekFrom::Start(0)).map_err(io)?;
-    let (title, mut topics, notes) = match LogKind::of(&head, name)? {
+    Ok(match LogKind::of(&head, name)? {
         LogKind::Mcap => {
             let (topics, notes) = survey_mcap(input, name)?;
-            ("MCAP", topics, notes)
+            LogSurvey::new(name, "MCAP", topics, None, notes)
         }
         LogKind::Csv => {
             let (topic, notes) = survey_csv(input, name, time_column)?;
-            ("CSV", vec![topic], notes)
+            LogSurvey::new(name, "CSV", vec![topic], None, notes)
         }
         LogKind::Candump => {
-            let (topics, notes) = survey_candump(input, name, dbc)?;
-            ("candump", topics, notes)
+            let (topics, raw, notes) = survey_candump(input, name, dbc)?;
+            LogSurvey::new(name, "candump", topics, raw, notes)
         }
-    };
-    topics.sort_by(|a, b| a.topic.cmp(&b.topic));
-    let mapping = guess(&mut topics);
-    Ok(LogSurvey { schema: "seepd.inspect/1", file: name.into(), kind: title, topics, mapping, notes })
+    })
 }
 
 fn survey_mcap<R: Read + Seek>(input: R, name: &str) -> Result<(Vec<TopicSurvey>, Vec<String>), Failure> {
@@ -192,17 +192,14 @@ fn survey_csv(
     Ok((topic.finished(), if known { vec![] } else { vec![note] }))
 }
 
-/// Interfaces and identifiers that are told apart; a bus has a few hundred.
-const TOPICS_KEPT: usize = 4096;
-
 fn survey_candump(
     input: impl Read,
     name: &str,
     dbc: Option<&Dbc>,
-) -> Result<(Vec<TopicSurvey>, Vec<String>), Failure> {
+) -> Result<(Vec<TopicSurvey>, Option<RawGuess>, Vec<String>), Failure> {
     let mut reader = BufReader::with_capacity(1 << 16, input);
-    let mut topics: BTreeMap<(Vec<u8>, Identifier), (TopicSurvey, Vec<CanSignal>)> = BTreeMap::new();
-    let (mut bytes, mut unreadable, mut fractions) = (Vec::new(), 0, false);
+    let mut bus = BusSurvey::new(dbc);
+    let (mut bytes, mut unreadable, mut fractions, mut any) = (Vec::new(), 0, false, false);
     while next_line(&mut reader, &mut bytes)
         .map_err(|error| Failure::new(Code::Io, format!("{name}: {error}")))?
     {
@@ -214,49 +211,35 @@ fn survey_candump(
             unreadable += 1;
             continue;
         };
+        any = true;
         fractions |= !line.whole_second;
-        let key = (line.interface.to_vec(), line.frame.identifier);
-        if !topics.contains_key(&key) && topics.len() >= TOPICS_KEPT {
-            unreadable += 1;
-            continue;
-        }
-        let (topic, signals) = topics.entry(key).or_insert_with(|| can_topic(&line, dbc));
-        topic.messages += 1;
-        topic.take_time(line.time_ns);
-        for signal in signals {
-            match signal.read(&line.frame) {
-                Reading::Value(value) => topic.take_field(&signal.name, value),
-                Reading::TooShort => topic.unreadable += 1,
-                Reading::Absent => {}
-            }
-        }
+        bus.take(line.interface, &line.frame, line.time_ns);
     }
+    unreadable += bus.left_out;
     let mut notes = Vec::new();
     if unreadable > 0 {
         notes.push(format!("{unreadable} lines left out"));
     }
-    if !fractions && !topics.is_empty() {
+    if !fractions && any {
         notes.push(
             "the time stamps are whole seconds: too coarse for replay; record with `candump -l`".into(),
         );
     }
     if dbc.is_none() {
-        notes.push("name the DBC file that describes the frames (--dbc FILE) to see their signals".into());
+        notes.push(NO_DBC.into());
     }
-    Ok((topics.into_values().map(|(topic, _)| topic.finished()).collect(), notes))
+    let (topics, guess) = bus.finish();
+    Ok((topics, guess, notes))
 }
 
-fn can_topic(line: &Line<'_>, dbc: Option<&Dbc>) -> (TopicSurvey, Vec<CanSignal>) {
-    let interface = String::from_utf8_lossy(line.interface).into_owned();
-    let identifier = line.frame.identifier;
-    let topic = TopicSurvey {
-        topic: format!("{interface} {identifier}"),
-        mapping_topic: interface,
-        encoding: "can".into(),
-        schema: dbc.and_then(|dbc| dbc.message_name(identifier)).unwrap_or_default(),
-        ..TopicSurvey::default()
-    };
-    (topic, dbc.map(|dbc| dbc.signals_of(identifier)).unwrap_or_default())
+const NO_DBC: &str = "name the DBC file that describes the frames (--dbc FILE) to see their signals";
+
+/// What was heard on a bus, as if it were a log.
+#[cfg(feature = "live")]
+pub(crate) fn survey_of_bus(bus: BusSurvey<'_>, interface: &str, has_dbc: bool) -> LogSurvey {
+    let notes = if has_dbc { Vec::new() } else { vec![NO_DBC.to_owned()] };
+    let (topics, raw) = bus.finish();
+    LogSurvey::new(interface, "CAN", topics, raw, notes)
 }
 
 impl TopicSurvey {
@@ -270,7 +253,7 @@ impl TopicSurvey {
         }
     }
 
-    fn take_time(&mut self, time_ns: i64) {
+    pub(super) fn take_time(&mut self, time_ns: i64) {
         if self.times_ns.len() < TIMES_KEPT {
             self.times_ns.push(time_ns);
         }
@@ -304,7 +287,7 @@ impl TopicSurvey {
         }
     }
 
-    fn take_field(&mut self, path: &str, value: f64) {
+    pub(super) fn take_field(&mut self, path: &str, value: f64) {
         if !value.is_finite() {
             return;
         }
@@ -318,7 +301,7 @@ impl TopicSurvey {
         }
     }
 
-    fn finished(mut self) -> Self {
+    pub(super) fn finished(mut self) -> Self {
         let times = std::mem::take(&mut self.times_ns);
         let mut intervals: Vec<i64> = times.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
         if let (Some(first), Some(last)) = (times.first(), times.last()) {
@@ -342,6 +325,23 @@ impl TopicSurvey {
 }
 
 impl LogSurvey {
+    fn new(
+        file: &str,
+        kind: &'static str,
+        mut topics: Vec<TopicSurvey>,
+        raw: Option<RawGuess>,
+        notes: Vec<String>,
+    ) -> Self {
+        topics.sort_by(|a, b| a.topic.cmp(&b.topic));
+        let mut mapping = guess(&mut topics);
+        if let Some(raw) = raw {
+            mapping
+                .entry(Signal::Command)
+                .or_insert_with(|| Guess::of_bits(raw.interface, raw.bits, raw.scale));
+        }
+        LogSurvey { schema: "seepd.inspect/1", file: file.into(), kind, topics, mapping, notes }
+    }
+
     /// The mapping as a part of `seepd.toml`.
     pub fn mapping_toml(&self) -> String {
         let mut text = String::new();
@@ -353,7 +353,13 @@ impl LogSurvey {
             if !guess.topic.is_empty() {
                 text += &format!("topic = {}\n", toml::Value::from(guess.topic.as_str()));
             }
-            text += &format!("field = {}\n", toml::Value::from(guess.field.as_str()));
+            match &guess.bits {
+                Some(bits) => {
+                    text += "# A field that moves as a valve command does; no DBC file names it. Check it.\n";
+                    text += &format!("bits = {}\n", bits.to_toml());
+                }
+                None => text += &format!("field = {}\n", toml::Value::from(guess.field.as_str())),
+            }
             if guess.scale != 1.0 {
                 text += &format!("scale = {}\n", toml::Value::from(guess.scale));
             }

@@ -1,0 +1,183 @@
+//! `seepd test-sinks`: a marked test alarm through each sink.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use clap::Args;
+use serde::Serialize;
+use tokio::sync::watch;
+use tokio::time::{sleep, timeout};
+
+use crate::cli::Outcome;
+use crate::config::{CanOutConfig, Config, HttpConfig, MqttConfig, RecordingConfig};
+use crate::event::Flag;
+use crate::failure::{Code, Failure};
+use crate::live::clock::Clock;
+use crate::live::hub::{AxisStatus, Hub, Kind};
+use crate::live::state_folder;
+use crate::sink::can::{self, Layout};
+use crate::sink::mqtt::{self, Broker};
+use crate::sink::recording;
+use crate::sink::terminal::print;
+
+/// Time that a sink has for the test.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Sends a marked test alarm through each configured sink and tells which took it.
+///
+/// MQTT: a message on PREFIX/AXIS/test that the broker must confirm. CAN: the configured frame with the flag severe and no
+/// estimate, which no real leak gives. Recording: a file with the test. HTTP: whether the port answers or is free.
+#[derive(Debug, Args)]
+#[command(after_help = "Example:\n  seepd test-sinks --config /etc/seepd/seepd.toml")]
+pub struct TestSinksArguments {
+    /// Configuration
+    #[arg(long, value_name = "FILE", default_value = "/etc/seepd/seepd.toml")]
+    config: PathBuf,
+    /// Print a JSON line a sink
+    #[arg(long)]
+    json: bool,
+}
+
+/// `seepd.sink_test/1`: how a sink did.
+#[derive(Debug, Serialize)]
+struct Verdict {
+    schema: &'static str,
+    sink: String,
+    good: bool,
+    message: String,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure`] where the configuration cannot be used, or a sink did not take its test.
+pub fn run(arguments: &TestSinksArguments) -> Result<Outcome, Failure> {
+    let config = Config::read(&arguments.config)?;
+    let verdicts = super::run::runtime()?.block_on(test_all(&config));
+    if verdicts.is_empty() {
+        let message = format!("{}: configures no sink", arguments.config.display());
+        return Err(Failure::new(Code::Configuration, message));
+    }
+    let mut bad = 0;
+    for verdict in verdicts {
+        bad += usize::from(!verdict.good);
+        let line = if arguments.json {
+            serde_json::to_string(&verdict).unwrap_or_default()
+        } else {
+            let word = if verdict.good { "good" } else { "FAILED" };
+            format!("{word:>6}  {}: {}", verdict.sink, verdict.message)
+        };
+        print(format!("{line}\n").as_bytes())?;
+    }
+    if bad > 0 {
+        Err(Failure::new(Code::Io, format!("{bad} sinks did not take the test")))
+    } else {
+        Ok(Outcome::Good)
+    }
+}
+
+async fn test_all(config: &Config) -> Vec<Verdict> {
+    let axis = config.axes().first().map_or("axis", |axis| axis.axis.as_str()).to_owned();
+    let mut verdicts = Vec::new();
+    let mut note = |sink: String, result: Result<String, String>| {
+        let good = result.is_ok();
+        let message = result.unwrap_or_else(|message| message);
+        verdicts.push(Verdict { schema: "seepd.sink_test/1", sink, good, message });
+    };
+    if let Some(mqtt) = &config.mqtt {
+        note(mqtt::SINK.into(), test_mqtt(mqtt, &axis).await);
+    }
+    for frame in &config.can_out {
+        note(can::sink_name(frame), test_can(frame, &axis));
+    }
+    if let Some(recording) = &config.recording {
+        note(recording::SINK.into(), test_recording(recording, config, &axis).await);
+    }
+    if let Some(http) = &config.http {
+        note("http".into(), test_http(http).await);
+    }
+    verdicts
+}
+
+async fn test_mqtt(config: &MqttConfig, axis: &str) -> Result<String, String> {
+    let hub = Hub::new("test".into());
+    let folder = tempdir()?;
+    // A name of its own: a broker drops the older of two clients with one name, and that would be the daemon.
+    let client_id = Some(format!("seepd-test-{}", std::process::id()));
+    let config = MqttConfig { client_id, ..config.clone() };
+    let broker = Broker::new(&config, &folder, Arc::clone(&hub)).map_err(|failure| failure.message)?;
+    let (stop, stopped) = watch::channel(false);
+    let task = tokio::spawn(broker.run_without_presence(stopped));
+    tokio::task::yield_now().await;
+    hub.publish_test(axis, Clock::start().now_ns());
+    let confirmed = timeout(PATIENCE, async {
+        loop {
+            let sink = hub.sinks().into_iter().find(|sink| sink.name == mqtt::SINK);
+            if sink.is_some_and(|sink| sink.sent > 0) {
+                return;
+            }
+            sleep(Duration::from_millis(20)).await;
+        }
+    })
+    .await;
+    let last = hub.sinks().into_iter().next().map(|sink| sink.detail).unwrap_or_default();
+    stop.send_replace(true);
+    let _ = timeout(PATIENCE, task).await;
+    let _ = std::fs::remove_dir_all(&folder);
+    match confirmed {
+        Ok(()) => Ok(format!("the broker confirmed {}/{axis}/{}", config.prefix, Kind::Test.name())),
+        Err(_) => Err(format!("nothing confirmed within {} s: {last}", PATIENCE.as_secs())),
+    }
+}
+
+fn tempdir() -> Result<PathBuf, String> {
+    let folder = std::env::temp_dir().join(format!("seepd-test-sinks-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    Ok(folder)
+}
+
+fn test_can(config: &CanOutConfig, axis: &str) -> Result<String, String> {
+    let layout = Layout::new(config).map_err(|failure| failure.message)?;
+    let mut status = AxisStatus::new(axis, 7e6);
+    status.flag = Flag::Severe;
+    let port = can::open(&config.interface).map_err(|error| error.to_string())?;
+    can::write(&port, &layout.frame(&status, 0)).map_err(|error| error.to_string())?;
+    Ok(format!("frame {:X} sent: flag severe without an estimate", config.id))
+}
+
+async fn test_recording(config: &RecordingConfig, all: &Config, axis: &str) -> Result<String, String> {
+    let hub = Hub::new("test".into());
+    let folder = config.folder.clone().unwrap_or_else(|| state_folder(all).join("recordings"));
+    let (recorder, thread) = recording::start(config, &folder, vec![axis.into()], Arc::clone(&hub))
+        .map_err(|failure| failure.message)?;
+    let mut events = hub.subscribe();
+    hub.publish_test(axis, Clock::start().now_ns());
+    if let Ok(event) = events.try_recv() {
+        recorder.event(&event);
+    }
+    let end = tokio::task::spawn_blocking(move || {
+        recorder.stop();
+        thread.join().is_ok()
+    });
+    let _ = end.await;
+    match hub.sinks().into_iter().find(|sink| !sink.good) {
+        Some(sink) => Err(sink.detail),
+        None => Ok(format!("a file with the test is in {}", folder.display())),
+    }
+}
+
+async fn test_http(config: &HttpConfig) -> Result<String, String> {
+    if let Some(path) = &config.token_file {
+        let (_, stopped) = watch::channel(false);
+        crate::sink::http::Http::new(config, Hub::new("test".into()), Clock::start(), stopped)
+            .map_err(|failure| format!("{}: {}", path.display(), failure.message))?;
+    }
+    match tokio::net::TcpListener::bind(config.listen).await {
+        Ok(_) => Ok(format!("{} is free for the daemon", config.listen)),
+        Err(bound) => match tokio::net::TcpStream::connect(config.listen).await {
+            Ok(_) => Ok(format!("{} answers", config.listen)),
+            Err(_) => Err(format!("opening {}: {bound}", config.listen)),
+        },
+    }
+}
