@@ -4,6 +4,7 @@ use seepd_signals::{Sample, Signal};
 
 use super::bit_field::BitField;
 use super::dbc::{CanSignal, Dbc, Reading};
+use super::timeline::Timeline;
 use super::{Content, Frame, Identifier};
 use crate::config::{BitsMapping, CounterMapping, SignalMapping};
 
@@ -40,6 +41,7 @@ pub struct FrameCounts {
 pub struct FrameDecoder {
     wanted: Vec<Wanted>,
     counter: Option<Counter>,
+    timeline: Option<Timeline>,
     held: Sample,
     counts: FrameCounts,
 }
@@ -79,7 +81,15 @@ impl FrameDecoder {
             .map(|counter| find("source.counter", &counter.field, counter.bits.as_ref(), dbc))
             .transpose()?
             .map(|source| Counter { source, last: None });
-        Ok(FrameDecoder { wanted, counter, held: Sample::new(0), counts: FrameCounts::default() })
+        let (held, counts) = (Sample::new(0), FrameCounts::default());
+        Ok(FrameDecoder { wanted, counter, timeline: None, held, counts })
+    }
+
+    /// Times frames by their counter, where there is one, as coming at a rate, Hz.
+    #[must_use]
+    pub fn timed_by_counter(mut self, rate_hz: f64) -> Self {
+        self.timeline = self.counter.as_ref().map(|_| Timeline::new(rate_hz));
+        self
     }
 
     /// The sample that a frame completes, if it carries a command.
@@ -89,9 +99,7 @@ impl FrameDecoder {
             Content::Error => self.counts.error += 1,
             Content::Data => {}
         }
-        if let Some(counter) = &mut self.counter {
-            counter.take(frame, &mut self.counts);
-        }
+        let steps = self.counter.as_mut().and_then(|counter| counter.take(frame, &mut self.counts));
         let mut has_command = false;
         let mut too_short = false;
         for wanted in &self.wanted {
@@ -109,8 +117,14 @@ impl FrameDecoder {
         }
         self.counts.too_short += u64::from(too_short);
         self.counts.given += u64::from(has_command);
-        self.held.time_ns = time_ns;
-        has_command.then_some(self.held)
+        if !has_command {
+            return None;
+        }
+        self.held.time_ns = match &mut self.timeline {
+            Some(timeline) => timeline.place(steps, time_ns),
+            None => time_ns,
+        };
+        Some(self.held)
     }
 
     /// Frames so far.
@@ -140,22 +154,25 @@ impl FrameDecoder {
 }
 
 impl Counter {
-    fn take(&mut self, frame: &Frame, counts: &mut FrameCounts) {
+    /// Counts since the frame before; `None` where the counter does not say.
+    fn take(&mut self, frame: &Frame, counts: &mut FrameCounts) -> Option<u64> {
         if frame.identifier != self.source.identifier || frame.content != Content::Data {
-            return;
+            return None;
         }
-        let Some(value) = self.source.field.raw(frame.data()) else { return };
+        let value = self.source.field.raw(frame.data())?;
         let largest = u64::MAX >> (64 - self.source.field.bits());
-        if let Some(last) = self.last.replace(value) {
-            let skipped = value.wrapping_sub(last).wrapping_sub(1) & largest;
-            if value == last {
-                counts.repeated += 1;
-            } else if skipped > largest / 2 {
-                counts.jumps += 1;
-            } else {
-                counts.missing += skipped;
-            }
+        let last = self.last.replace(value)?;
+        let steps = value.wrapping_sub(last) & largest;
+        if steps == 0 {
+            counts.repeated += 1;
+            return None;
         }
+        if steps - 1 > largest / 2 {
+            counts.jumps += 1;
+            return None;
+        }
+        counts.missing += steps - 1;
+        Some(steps)
     }
 }
 

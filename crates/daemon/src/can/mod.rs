@@ -5,6 +5,7 @@ pub mod candump;
 pub mod dbc;
 pub mod decode;
 pub mod linux;
+mod timeline;
 
 use std::fmt;
 

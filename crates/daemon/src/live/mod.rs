@@ -180,7 +180,7 @@ impl Daemon {
 
     fn prepare(&self, config: &Config) -> Result<ReadyAxis, Failure> {
         let model = config.load_model()?;
-        let source = LiveSource::open(config, self.clock)?;
+        let source = LiveSource::open(config, model.file().sample_rate_hz, self.clock)?;
         Ok(ReadyAxis { config: config.clone(), model, source })
     }
 

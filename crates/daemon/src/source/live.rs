@@ -88,13 +88,13 @@ pub enum LiveSource {
 const NAP: Duration = Duration::from_millis(2);
 
 impl LiveSource {
-    /// Opens an axis's source. A bus that is not there yet is no error.
+    /// Opens an axis's source, for a model of a rate, Hz. A bus that is not there yet is no error.
     ///
     /// # Errors
     /// [`Failure`] where there is neither a bus nor a log, the log cannot be read, or the mapping fits neither.
-    pub fn open(config: &Config, clock: Clock) -> Result<Self, Failure> {
+    pub fn open(config: &Config, rate_hz: f64, clock: Clock) -> Result<Self, Failure> {
         match (&config.source.can, &config.source.log) {
-            (Some(_), _) => Ok(LiveSource::Can(Box::new(CanSource::new(config, clock)?))),
+            (Some(_), _) => Ok(LiveSource::Can(Box::new(CanSource::new(config, rate_hz, clock)?))),
             (None, Some(log)) => Ok(LiveSource::Log(PlayedLog::open(log, config, clock)?)),
             (None, None) => Err(Failure::new(
                 Code::Configuration,

@@ -49,15 +49,15 @@ pub struct CanSource {
 }
 
 impl CanSource {
-    /// Prepares for the axis's interface, which need not be there yet.
+    /// Prepares for the axis's interface, which need not be there yet, and for frames at the model's rate, Hz.
     ///
     /// # Errors
     /// [`Failure`] where the mapping is none of frames.
-    pub fn new(config: &Config, clock: Clock) -> Result<Self, Failure> {
+    pub fn new(config: &Config, rate_hz: f64, clock: Clock) -> Result<Self, Failure> {
         let place = config.source.can.clone().unwrap_or_default();
         Ok(CanSource {
             receive_buffer_bytes: config.source.receive_buffer_bytes,
-            decoder: frame_decoder(config)?,
+            decoder: frame_decoder(config)?.timed_by_counter(rate_hz),
             port: None,
             clock,
             health: SourceHealth { name: place.clone(), ..SourceHealth::default() },
