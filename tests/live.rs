@@ -491,6 +491,8 @@ fn http_asks_for_the_token_and_refuses_other_places() {
         entry.head
     );
     assert_eq!(code("GET", "/?token=wrong", ""), 401);
+    assert_eq!(code("GET", "/?anything", ""), 401);
+    assert_eq!(code("GET", "/metrics?token=0123456789abcdef0123", ""), 401);
     assert_eq!(code("GET", "/api/v1/status", "Cookie: a=b; seepd_token=0123456789abcdef0123\r\n"), 200);
     // Orders from pages of other places are refused even with the cookie.
     let from_afar = format!("{bearer}Origin: http://evil.example\r\n");
@@ -606,7 +608,9 @@ fn two_senders_on_one_identifier_give_no_estimate_and_are_told() {
         status["source"]["counter_jumps"].as_u64().unwrap() + status["source"]["repeated"].as_u64().unwrap();
     assert!(jumps > 500, "{status}");
     assert_eq!((status["flag"].as_str(), status["cycles"].as_u64()), (Some("no_estimate"), Some(0)));
-    machines.map(Machine::stop);
+    for machine in machines {
+        machine.stop();
+    }
     drop(daemon);
 }
 

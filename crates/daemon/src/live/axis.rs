@@ -209,7 +209,7 @@ impl<'a> Desk<'a> {
         });
         match line.reason {
             Some(reason) => {
-                tracing::info!(axis = line.axis, cycle = line.cycle, reason, "cycle rejected: {reason}")
+                tracing::info!(axis = line.axis, cycle = line.cycle, reason, "cycle rejected: {reason}");
             }
             None => tracing::debug!(
                 axis = line.axis,

@@ -201,7 +201,7 @@ impl Daemon {
         self.hub.add_axis(AxisStatus::new(&config.axis, config.reference_dp_pa), order_sender);
         if let Some(trend) = self.trends.remove(&config.axis) {
             self.hub.update_axis(&config.axis, |_, view| {
-                trend.into_iter().for_each(|point| view.add_trend(point))
+                trend.into_iter().for_each(|point| view.add_trend(point));
             });
         }
         let around = Surroundings {

@@ -114,7 +114,7 @@ pub fn token(config: &HttpConfig) -> Result<Option<String>, Failure> {
 
 fn routes(site: Arc<Site>) -> Router {
     Router::new()
-        .route("/", get(page))
+        .route("/", get(async || asset("text/html; charset=utf-8", PAGE)))
         .route("/dashboard.js", get(async || asset("text/javascript; charset=utf-8", SCRIPT)))
         .route("/dashboard.css", get(async || asset("text/css; charset=utf-8", STYLE)))
         .route("/metrics", get(metrics))
@@ -150,14 +150,15 @@ async fn admit(State(site): State<Arc<Site>>, request: Request, next: Next) -> R
         return problem(StatusCode::FORBIDDEN, what);
     }
     if let Some(token) = &site.token {
-        let brought = bearer(headers).or_else(|| cookie(headers));
-        if !brought.is_some_and(|brought| same(brought.as_bytes(), token.as_bytes()))
-            && !(request.uri().path() == "/" && request.uri().query().is_some())
-        {
-            return problem(
-                StatusCode::UNAUTHORIZED,
-                "bring the token: `Authorization: Bearer TOKEN`, or open /?token=TOKEN once",
-            );
+        let is_it = |brought: &str| same(brought.as_bytes(), token.as_bytes());
+        if !bearer(headers).or_else(|| cookie(headers)).is_some_and(is_it) {
+            return match by_query(&request) {
+                Some(brought) if is_it(&brought) => let_in(token),
+                _ => problem(
+                    StatusCode::UNAUTHORIZED,
+                    "bring the token: `Authorization: Bearer TOKEN`, or open /?token=TOKEN once",
+                ),
+            };
         }
     }
     next.run(request).await
@@ -199,21 +200,20 @@ struct Entry {
     token: Option<String>,
 }
 
-async fn page(State(site): State<Arc<Site>>, Query(entry): Query<Entry>) -> Response {
-    if let Some(token) = &site.token
-        && let Some(brought) = entry.token
-    {
-        if !same(brought.as_bytes(), token.as_bytes()) {
-            return problem(StatusCode::UNAUTHORIZED, "this is not the token");
-        }
-        let cookie = format!("seepd_token={token}; Path=/; HttpOnly; SameSite=Strict; Max-Age=31536000");
-        let mut response = Redirect::to("/").into_response();
-        if let Ok(cookie) = HeaderValue::from_str(&cookie) {
-            response.headers_mut().insert(header::SET_COOKIE, cookie);
-        }
-        return response;
+/// The token of `/?token=…`.
+fn by_query(request: &Request) -> Option<String> {
+    let Query(entry) = Query::<Entry>::try_from_uri(request.uri()).ok()?;
+    entry.token.filter(|_| request.uri().path() == "/")
+}
+
+/// Leaves the token as a cookie and leads to the page, so that the address does not show it any longer.
+fn let_in(token: &str) -> Response {
+    let cookie = format!("seepd_token={token}; Path=/; HttpOnly; SameSite=Strict; Max-Age=31536000");
+    let mut response = Redirect::to("/").into_response();
+    if let Ok(cookie) = HeaderValue::from_str(&cookie) {
+        response.headers_mut().insert(header::SET_COOKIE, cookie);
     }
-    asset("text/html; charset=utf-8", PAGE)
+    response
 }
 
 fn asset(media_type: &'static str, text: &'static str) -> Response {

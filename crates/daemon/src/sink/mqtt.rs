@@ -322,10 +322,13 @@ impl Broker {
                 .try_publish(status, QoS::AtMostOnce, true, "online")
                 .and_then(|()| client.try_subscribe(orders, QoS::AtLeastOnce))
                 .map_err(|error| error.to_string()),
-            Some(Client::V5(client)) => client
-                .try_publish(status, qos_5(QoS::AtMostOnce), true, "online")
-                .and_then(|()| client.try_subscribe(orders, qos_5(QoS::AtLeastOnce)))
-                .map_err(|error| error.to_string()),
+            Some(Client::V5(client)) => {
+                let announced = client.try_publish(status, qos_5(QoS::AtMostOnce), true, "online");
+                let subscribed = client.try_subscribe(orders, qos_5(QoS::AtLeastOnce));
+                announced
+                    .map_err(|error| error.to_string())
+                    .and(subscribed.map_err(|error| error.to_string()))
+            }
             None => Ok(()),
         };
         if let Err(error) = asked {

@@ -58,6 +58,9 @@ pub(crate) struct RawGuess {
     pub(crate) scale: f64,
 }
 
+/// The identifiers' surveys, and the unnamed field that is most like a command.
+pub(crate) type BusFound = (Vec<TopicSurvey>, Option<RawGuess>);
+
 impl<'d> BusSurvey<'d> {
     pub(crate) fn new(dbc: Option<&'d Dbc>) -> Self {
         BusSurvey { dbc, topics: BTreeMap::new(), left_out: 0 }
@@ -73,8 +76,8 @@ impl<'d> BusSurvey<'d> {
         self.topics.entry(key).or_insert_with(|| Heard::new(interface, frame, dbc)).take(frame, time_ns);
     }
 
-    /// The identifiers' surveys, and the unnamed field that is most like a command.
-    pub(crate) fn finish(self) -> (Vec<TopicSurvey>, Option<RawGuess>) {
+    /// What was found.
+    pub(crate) fn finish(self) -> BusFound {
         let mut best: Option<(f64, RawGuess)> = None;
         let mut topics = Vec::new();
         for ((interface, identifier), mut heard) in self.topics {

@@ -81,7 +81,7 @@ pub enum LiveSource {
     /// A bus.
     Can(Box<CanSource>),
     /// A log.
-    Log(PlayedLog),
+    Log(Box<PlayedLog>),
 }
 
 /// Frames that the kernel may hold back so that several are read at one waking.
@@ -95,7 +95,7 @@ impl LiveSource {
     pub fn open(config: &Config, rate_hz: f64, clock: Clock) -> Result<Self, Failure> {
         match (&config.source.can, &config.source.log) {
             (Some(_), _) => Ok(LiveSource::Can(Box::new(CanSource::new(config, rate_hz, clock)?))),
-            (None, Some(log)) => Ok(LiveSource::Log(PlayedLog::open(log, config, clock)?)),
+            (None, Some(log)) => Ok(LiveSource::Log(Box::new(PlayedLog::open(log, config, clock)?))),
             (None, None) => Err(Failure::new(
                 Code::Configuration,
                 format!(

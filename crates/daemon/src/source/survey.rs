@@ -8,7 +8,7 @@ use seepd_signals::Signal;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::bus_survey::{BusSurvey, RawGuess};
+use super::bus_survey::{BusFound, BusSurvey, RawGuess};
 use super::candump::next_line;
 use super::decode::Decoder;
 use super::guess::{Guess, guess};
@@ -118,7 +118,7 @@ pub fn survey<R: Read + Seek>(
             LogSurvey::new(name, "CSV", vec![topic], None, notes)
         }
         LogKind::Candump => {
-            let (topics, raw, notes) = survey_candump(input, name, dbc)?;
+            let ((topics, raw), notes) = survey_candump(input, name, dbc)?;
             LogSurvey::new(name, "candump", topics, raw, notes)
         }
     })
@@ -196,7 +196,7 @@ fn survey_candump(
     input: impl Read,
     name: &str,
     dbc: Option<&Dbc>,
-) -> Result<(Vec<TopicSurvey>, Option<RawGuess>, Vec<String>), Failure> {
+) -> Result<(BusFound, Vec<String>), Failure> {
     let mut reader = BufReader::with_capacity(1 << 16, input);
     let mut bus = BusSurvey::new(dbc);
     let (mut bytes, mut unreadable, mut fractions, mut any) = (Vec::new(), 0, false, false);
@@ -228,8 +228,7 @@ fn survey_candump(
     if dbc.is_none() {
         notes.push(NO_DBC.into());
     }
-    let (topics, guess) = bus.finish();
-    Ok((topics, guess, notes))
+    Ok((bus.finish(), notes))
 }
 
 const NO_DBC: &str = "name the DBC file that describes the frames (--dbc FILE) to see their signals";
