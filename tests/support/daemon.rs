@@ -32,6 +32,15 @@ impl Daemon {
 
     /// Starts it with more of an environment.
     pub(crate) fn start_with(folder: &Path, config: &str, environment: &[(&str, &str)]) -> Self {
+        Self::spawn(folder, config, environment, Stdio::null())
+    }
+
+    /// Starts it with a file as standard input.
+    pub(crate) fn start_reading(folder: &Path, config: &str, input: &fs::File) -> Self {
+        Self::spawn(folder, config, &[], Stdio::from(input.try_clone().unwrap()))
+    }
+
+    fn spawn(folder: &Path, config: &str, environment: &[(&str, &str)], input: Stdio) -> Self {
         let path = folder.join("seepd.toml");
         fs::write(&path, config).unwrap();
         let log = folder.join("daemon.log");
@@ -40,6 +49,7 @@ impl Daemon {
             .args(["run", "--config"])
             .arg(&path)
             .envs(environment.iter().copied())
+            .stdin(input)
             .stdout(Stdio::null())
             .stderr(file)
             .spawn()
