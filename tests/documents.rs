@@ -36,6 +36,29 @@ fn configuration_in_the_readme_reads() {
 }
 
 #[test]
+fn configuration_of_the_live_guide_and_of_the_package_read() {
+    let guide = fs::read_to_string(root().join("docs/live.md")).unwrap();
+    let block = guide.split("```toml").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
+    let config = Config::parse(block).unwrap();
+    assert!(config.http.is_some() && config.mqtt.is_some() && config.recording.is_some());
+    assert_eq!(config.can_out.len(), 1);
+    let shipped = fs::read_to_string(root().join("packaging/seepd.toml")).unwrap();
+    assert_eq!(Config::parse(&shipped).unwrap().source.can.as_deref(), Some("can0"));
+    // What is commented out there reads too.
+    let all: String = shipped.lines().map(uncommented).collect::<Vec<_>>().join("\n");
+    let config = Config::parse(&all).unwrap_or_else(|message| panic!("{message}: {all}"));
+    assert!(config.mqtt.is_some_and(|mqtt| mqtt.tls) && config.can_out.len() == 1);
+}
+
+/// A line of which a comment that is a key or a table is taken as such.
+fn uncommented(line: &str) -> &str {
+    match line.strip_prefix("# ") {
+        Some(rest) if rest.starts_with('[') || rest.split(' ').nth(1) == Some("=") => rest,
+        _ => line,
+    }
+}
+
+#[test]
 fn design_names_every_crate() {
     let design = fs::read_to_string(root().join("DESIGN.md")).unwrap();
     for folder in fs::read_dir(root().join("crates")).unwrap() {

@@ -236,7 +236,12 @@ fn events_wait_for_a_broker_that_is_away_and_arrive_in_order() {
             "in order but for one repeat: {numbers:?}"
         );
         assert_eq!(fs::read_dir(spool.join("damaged")).unwrap().count(), 1);
+        // A daemon that is killed says no farewell: the broker does, by its last will.
+        assert_eq!(heard.messages("seepd/status").last().map(String::as_str), Some("online"));
         drop(daemon);
+        until("the last will", SOON, || {
+            heard.messages("seepd/status").last().is_some_and(|word| word == "offline")
+        });
     }
 }
 
@@ -802,7 +807,8 @@ fn random(state: &mut u64) -> u64 {
 #[ignore = "two minutes"]
 fn two_hundred_kills_at_random_moments_leave_state_recording_and_spool_whole() {
     let folder = tempfile::tempdir().unwrap();
-    let log = worn_log(folder.path(), "60");
+    let log = folder.path().join("leaking.mcap");
+    simulate(&log, &["--cycles", "60", "--leak-area", "1e-6"]);
     let state = folder.path().join("state");
     let config = format!(
         "axis = \"press-1\"\nstate_dir = \"state\"\n[source]\nlog = \"{}\"\npace = \"fast\"\n[recording]\ntotal_mb = 200.0\n\
@@ -814,7 +820,7 @@ fn two_hundred_kills_at_random_moments_leave_state_recording_and_spool_whole() {
     for kill in 0..200 {
         let level_before = fs::read_to_string(state.join("state.json")).ok();
         let mut daemon = Daemon::start(folder.path(), &config);
-        thread::sleep(Duration::from_millis(20 + random(&mut seed) % 600));
+        thread::sleep(Duration::from_millis(20 + random(&mut seed) % 900));
         daemon.child.kill().unwrap();
         drop(daemon);
         // The state is the one before or a later one, and whole.
@@ -822,7 +828,7 @@ fn two_hundred_kills_at_random_moments_leave_state_recording_and_spool_whole() {
             Ok(text) => {
                 let axes = seepd::live::state::parse(&text)
                     .unwrap_or_else(|error| panic!("kill {kill}: {error}: {text}"));
-                leaking += usize::from(text.contains("\"leak\""));
+                leaking += usize::from(text.contains("\"level\": \"severe\""));
                 assert!(axes.len() == 1, "kill {kill}");
             }
             Err(_) => assert_eq!(level_before, None, "kill {kill}: the state is gone"),
@@ -874,8 +880,9 @@ fn load_of_a_thousand_frames_a_second_with_all_sinks() {
     let share = (daemon.cpu_s() - cpu_before) / begin.elapsed().as_secs_f64();
     let status = axis_status(port).unwrap();
     println!(
-        "{:.2} % of a core, resident {} kB (anonymous {} kB, largest {} kB), {} samples, {} cycles",
+        "{:.2} % of a core, publication after {} s, resident {} kB (anonymous {} kB, largest {} kB), {} samples, {} cycles",
         100.0 * share,
+        status["publication_delay_s"],
         daemon.memory_kb("VmRSS"),
         daemon.memory_kb("RssAnon"),
         daemon.memory_kb("VmHWM"),
@@ -887,6 +894,7 @@ fn load_of_a_thousand_frames_a_second_with_all_sinks() {
     );
     // Twice what is aimed at (2 %, 12 MiB), as the machine may be busy and the build a test's.
     assert!(share < 0.04, "{share}");
+    assert!(status["publication_delay_s"].as_f64().unwrap() < 0.05);
     assert!(daemon.memory_kb("VmRSS") < 24 << 10);
     machine.stop();
 }
@@ -945,6 +953,7 @@ fn a_day_at_speed_keeps_memory_flat() {
         .iter()
         .map(|file| fs::metadata(file).unwrap().len())
         .sum();
-    assert!(recorded < 41_000_000, "{recorded}");
+    // As much as is allowed, and a chunk.
+    assert!(recorded < 42_000_000, "{recorded}");
     assert!(fs::read_dir(folder.path().join("state/spool")).unwrap().count() <= 501);
 }

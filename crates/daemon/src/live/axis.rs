@@ -97,6 +97,8 @@ struct Desk<'a> {
     around: &'a Surroundings,
     latch: Latch,
     points: Points,
+    /// Time of the sample that the pipeline is working on.
+    sample_ns: i64,
     last_sample_ns: i64,
     told_ns: i64,
     stale: bool,
@@ -113,6 +115,7 @@ struct Desk<'a> {
 struct LastCycle {
     cycle: u64,
     end_ns: i64,
+    delay_s: f64,
 }
 
 impl<'a> Desk<'a> {
@@ -124,6 +127,7 @@ impl<'a> Desk<'a> {
             around,
             latch: Latch::default(),
             points: Points::new(cycle_points as usize),
+            sample_ns: now_ns,
             last_sample_ns: now_ns,
             told_ns: 0,
             stale: false,
@@ -147,6 +151,7 @@ impl<'a> Desk<'a> {
         let pace = self.config.source.log.as_ref().map_or(Pace::Recorded, |_| self.config.source.pace);
         for sample in samples {
             self.points.take(sample);
+            self.sample_ns = sample.time_ns;
             if let Some(recorder) = recorder.as_ref() {
                 recorder.sample(&self.config.axis, sample, pace);
             }
@@ -179,7 +184,8 @@ impl<'a> Desk<'a> {
 
     fn note_cycle(&mut self, line: &CycleLine<'_>) {
         let end_ns = cycle_end_ns(line);
-        self.last = Some(LastCycle { cycle: line.cycle, end_ns });
+        let delay_ns = self.around.clock.now_ns().saturating_sub(self.sample_ns);
+        self.last = Some(LastCycle { cycle: line.cycle, end_ns, delay_s: delay_ns.max(0) as f64 / 1e9 });
         let course = Course {
             cycle: line.cycle,
             flag: line.flag,
@@ -300,6 +306,7 @@ impl<'a> Desk<'a> {
                 leak_flow_lpm: estimate.map(|estimate| estimate.leak_flow_lpm),
                 cycle: last.map(|last| last.cycle),
                 t_last_cycle_ns: last.map(|last| last.end_ns),
+                publication_delay_s: last.map(|last| last.delay_s),
                 cycles: summary.cycles,
                 rejected: summary.rejected,
                 samples_rejected: summary.samples_rejected,

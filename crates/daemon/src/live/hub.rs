@@ -50,6 +50,8 @@ pub struct AxisStatus {
     pub cycle: Option<u64>,
     /// End of the last cycle, ns on the daemon's line of time.
     pub t_last_cycle_ns: Option<i64>,
+    /// From the sample that closed the last cycle to its publication, s; the segmenter's look-ahead is not in it.
+    pub publication_delay_s: Option<f64>,
     /// Cycles with an estimate.
     pub cycles: u64,
     /// Cycles without one, by reason.
@@ -79,6 +81,7 @@ impl AxisStatus {
             time_to_leak_s: None,
             cycle: None,
             t_last_cycle_ns: None,
+            publication_delay_s: None,
             cycles: 0,
             rejected: BTreeMap::new(),
             samples_rejected: BTreeMap::new(),

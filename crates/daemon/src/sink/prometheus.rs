@@ -107,6 +107,13 @@ fn register_flags(registry: &mut Registry, axes: &[AxisStatus]) {
 }
 
 fn register_cycles(registry: &mut Registry, axes: &[AxisStatus]) {
+    let delays = axes.iter().filter_map(|axis| axis.publication_delay_s.map(|delay| (axis, delay)));
+    gauges(
+        registry,
+        "publication_delay_s",
+        "From the sample that closed the last cycle to its publication",
+        delays,
+    );
     let cycles = axes.iter().map(|axis| (of_axis(axis), axis.cycles));
     counters(registry, "cycles", "Cycles with an estimate", cycles);
     let by_reason = |what: fn(&AxisStatus) -> &std::collections::BTreeMap<&'static str, u64>| {

@@ -28,6 +28,8 @@ const UNDER_WAY: usize = 8192;
 const LOOK: Duration = Duration::from_millis(50);
 /// The file is made durable this often, in looks.
 const LOOKS_PER_SYNC: u32 = 16;
+/// The file's size is looked at after so many records.
+const RECORDS_PER_SIZE: u64 = 4096;
 /// Bytes in an MB.
 const MB: f64 = 1e6;
 /// Wait after a failed write, in looks.
@@ -158,7 +160,11 @@ impl Tape {
                 self.thrown_away += 1;
                 continue;
             }
-            match self.write(&record) {
+            let written = self.write(&record).and_then(|()| {
+                // A log that is read as fast as can be fills files between two looks.
+                if self.sent.is_multiple_of(RECORDS_PER_SIZE) { self.rotate() } else { Ok(()) }
+            });
+            match written {
                 Ok(()) => self.sent += 1,
                 Err(error) => {
                     self.complain(&error);
@@ -191,6 +197,7 @@ impl Tape {
         }
     }
 
+    /// Makes the file durable, tells of it, and closes it where it is full or old.
     fn sync_and_rotate(&mut self) -> io::Result<()> {
         let (lost, thrown_away, sent) = (self.lost.load(Ordering::Relaxed), self.thrown_away, self.sent);
         let Some(file) = &mut self.file else { return Ok(()) };
@@ -201,8 +208,13 @@ impl Tape {
             status.good = true;
             (status.detail, status.sent, status.dropped) = (detail, sent, lost + thrown_away);
         });
+        self.rotate()
+    }
+
+    fn rotate(&mut self) -> io::Result<()> {
+        let Some(file) = &self.file else { return Ok(()) };
         let age_min = file.newest_ns.saturating_sub(file.begin_ns) as f64 / 60e9;
-        if bytes as f64 >= self.config.file_mb * MB || age_min >= self.config.file_min {
+        if file.bytes()? as f64 >= self.config.file_mb * MB || age_min >= self.config.file_min {
             if let Some(file) = self.file.take() {
                 file.finish()?;
             }

@@ -234,25 +234,33 @@ function drawCycles() {
   }));
 }
 
+// Time before now in a unit that fits; by number of cycles where the clock was set in between, which is no time at all.
+function timeScale(points) {
+  const newest = points[points.length - 1].t_ns, span = newest - points[0].t_ns, years = 5 * 365 * 864e11;
+  const stepped = points.some((point, index) => index && point.t_ns < points[index - 1].t_ns) || span > years;
+  if (stepped) return { at: (_, index) => index - points.length + 1, name: "cycles" };
+  const units = [[864e11, "days"], [36e11, "h"], [6e10, "min"], [1e9, "s"]];
+  const [unit, name] = units.find(([unit]) => span > 2 * unit) || units[3];
+  return { at: (point) => (point.t_ns - newest) / unit, name };
+}
+
 function drawTrend() {
   const canvas = byId("trend");
   if (!trend.length) return empty(canvas, "no estimate yet");
   const flow = (point, area) => Math.max(area * point.leak_flow_lpm / point.leak_area_m2, 1e-3);
-  const newest = trend[trend.length - 1].t_ns, span = newest - trend[0].t_ns;
-  const [unit, name] = span > 2 * 864e11 ? [864e11, "days"] : span > 2 * 36e11 ? [36e11, "h"] : span > 12e10 ? [6e10, "min"] : [1e9, "s"];
-  const at = (point) => (point.t_ns - newest) / unit;
   const usable = trend.filter((point) => point.leak_area_m2 > 0);
   if (!usable.length) return empty(canvas, "no leak so far");
+  const { at, name } = timeScale(usable);
   const low = Math.max(Math.min(...usable.map((point) => flow(point, point.interval90_m2[0]))), 0.005);
   const high = Math.max(...usable.map((point) => flow(point, point.interval90_m2[1])), low * 3);
-  const picture = plane(canvas, [Math.min(at(usable[0]), -1e-3), 0], [low / 1.2, high * 1.2], true);
+  const picture = plane(canvas, [Math.min(at(usable[0], 0), -1e-3), 0], [low / 1.2, high * 1.2], true);
   const clip = (value) => Math.max(value, low / 1.2);
   picture.pen.fillStyle = color("band");
   picture.pen.beginPath();
-  usable.forEach((point) => picture.pen.lineTo(picture.placeX(at(point)), picture.placeY(clip(flow(point, point.interval90_m2[1])))));
-  [...usable].reverse().forEach((point) => picture.pen.lineTo(picture.placeX(at(point)), picture.placeY(clip(flow(point, point.interval90_m2[0])))));
+  usable.forEach((point, index) => picture.pen.lineTo(picture.placeX(at(point, index)), picture.placeY(clip(flow(point, point.interval90_m2[1])))));
+  [...usable].reverse().forEach((point, index) => picture.pen.lineTo(picture.placeX(at(point, usable.length - 1 - index)), picture.placeY(clip(flow(point, point.interval90_m2[0])))));
   picture.pen.fill();
-  picture.line(usable.map((point) => [at(point), clip(point.leak_flow_lpm)]), color("accent"), 2);
+  picture.line(usable.map((point, index) => [at(point, index), clip(point.leak_flow_lpm)]), color("accent"), 2);
   picture.pen.fillStyle = color("soft"); picture.pen.textAlign = "right"; picture.pen.textBaseline = "top";
   picture.pen.fillText(name + " before now", canvas.clientWidth - 10, 10);
 }
