@@ -811,7 +811,7 @@ fn two_hundred_kills_at_random_moments_leave_state_recording_and_spool_whole() {
     simulate(&log, &["--cycles", "60", "--leak-area", "1e-6"]);
     let state = folder.path().join("state");
     let config = format!(
-        "axis = \"press-1\"\nstate_dir = \"state\"\n[source]\nlog = \"{}\"\npace = \"fast\"\n[recording]\ntotal_mb = 200.0\n\
+        "axis = \"press-1\"\nstate_dir = \"state\"\n[source]\nlog = \"{}\"\npace = \"fast\"\n[recording]\ntotal_mb = 5000.0\n\
          [mqtt]\nhost = \"127.0.0.1\"\nport = {}\n",
         log.display(),
         free_port()

@@ -258,8 +258,9 @@ fn verdict<A: Axis>(
         let rest = "a gap is left that no effect of the catalogue explains".to_owned();
         return (Verdict::Unknown, Some(rest));
     }
-    // Effects that look the same in this log share their probability.
-    if class >= CHOSEN {
+    // Effects that look the same in this log share their probability, and so do machines that have the first one in common.
+    let first = weighed.effects().first().map_or(0.0, |(_, probability)| *probability);
+    if class.max(first) >= CHOSEN {
         return (Verdict::Effect, few);
     }
     let names: Vec<&str> = weighed

@@ -23,7 +23,7 @@ use crate::live::clock;
 use crate::live::hub::{Hub, Kind, Publication};
 
 /// Samples and events on their way to the thread.
-const UNDER_WAY: usize = 8192;
+const UNDER_WAY: usize = 4096;
 /// The thread looks for them this often.
 const LOOK: Duration = Duration::from_millis(50);
 /// The file is made durable this often, in looks.

@@ -261,8 +261,8 @@ function drawTrend() {
   [...usable].reverse().forEach((point, index) => picture.pen.lineTo(picture.placeX(at(point, usable.length - 1 - index)), picture.placeY(clip(flow(point, point.interval90_m2[0])))));
   picture.pen.fill();
   picture.line(usable.map((point, index) => [at(point, index), clip(point.leak_flow_lpm)]), color("accent"), 2);
-  picture.pen.fillStyle = color("soft"); picture.pen.textAlign = "right"; picture.pen.textBaseline = "top";
-  picture.pen.fillText(name + " before now", canvas.clientWidth - 10, 10);
+  picture.pen.fillStyle = color("soft"); picture.pen.textAlign = "left"; picture.pen.textBaseline = "top";
+  picture.pen.fillText(name + " before now", 52, 10);
 }
 
 byId("acknowledge").addEventListener("click", async () => {
