@@ -597,6 +597,29 @@ fn a_missing_interface_is_waited_for_and_other_axes_run() {
 }
 
 #[test]
+fn a_folder_that_cannot_be_written_stops_the_recording_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let (socket, port) = (folder.path().join("in.sock"), free_port());
+    fs::write(folder.path().join("in-the-way"), "a file").unwrap();
+    let config = format!(
+        "axis = \"press-1\"\nstate_dir = \"state\"\n{}[recording]\nfolder = \"in-the-way/recordings\"\n\
+         [http]\nlisten = \"127.0.0.1:{port}\"\n",
+        machine_toml(&socket)
+    );
+    let daemon = Daemon::start(folder.path(), &config);
+    let machine = Machine::start(&socket, cycle("nominal_leak_0.csv"));
+    let sink = || json(port, "/api/v1/status")["sinks"].as_array().unwrap().clone();
+    until("samples", SOON, || {
+        axis_status(port).is_some_and(|status| status["source"]["samples"].as_u64() > Some(500))
+    });
+    until("the complaint", SOON, || {
+        sink().iter().any(|sink| sink["name"] == "recording" && sink["good"] == false)
+    });
+    assert!(daemon.words().contains("recording into"), "{}", daemon.words());
+    machine.stop();
+}
+
+#[test]
 fn two_senders_on_one_identifier_give_no_estimate_and_are_told() {
     let folder = tempfile::tempdir().unwrap();
     let (socket, port) = (folder.path().join("in.sock"), free_port());

@@ -185,7 +185,8 @@ fn find(name: &str, field: &str, bits: Option<&BitsMapping>, dbc: Option<&Dbc>) 
         }
         (None, Some(dbc)) => dbc.find(field).map_err(|what| format!("{name}: {what}")),
         (None, None) => Err(format!(
-            "{name}: nothing says where `{field}` is in a frame: name a DBC file (dbc, --dbc FILE) or give its bits ({name}.bits)"
+            "{name}: nothing says where `{field}` is in a frame: name the DBC file that describes the frames (dbc, --dbc FILE) or give \
+             its bits ({name}.bits)"
         )),
     }
 }

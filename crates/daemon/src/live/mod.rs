@@ -106,6 +106,17 @@ enum SinkConfig {
     Recording(RecordingConfig, Vec<String>),
 }
 
+impl SinkConfig {
+    fn name(&self) -> String {
+        match self {
+            SinkConfig::Http(_) => http::SINK.into(),
+            SinkConfig::Mqtt(_) => mqtt::SINK.into(),
+            SinkConfig::Can(frame, _) => can::sink_name(frame),
+            SinkConfig::Recording(..) => recording::SINK.into(),
+        }
+    }
+}
+
 struct RunningSink {
     config: SinkConfig,
     name: String,
@@ -158,9 +169,7 @@ impl Daemon {
     fn start(&mut self, config: &Config) -> Result<(), Failure> {
         let sinks = sink_configs(config);
         sinks.iter().try_for_each(check_sink)?;
-        for sink in sinks {
-            self.start_sink(sink)?;
-        }
+        sinks.into_iter().for_each(|sink| self.start_sink(sink));
         let mut first_failure = None;
         for axis in &config.axis_tables() {
             match self.prepare(axis) {
@@ -221,33 +230,42 @@ impl Daemon {
         self.state_folder.join("spool")
     }
 
-    fn start_sink(&mut self, config: SinkConfig) -> Result<(), Failure> {
+    /// Starts a sink; one that cannot be started is told of, and the others go on.
+    fn start_sink(&mut self, config: SinkConfig) {
+        let name = config.name();
+        self.hub.update_sink(&name, |_| {});
+        if let Err(failure) = self.try_start_sink(config, &name) {
+            tracing::error!("{name}: {failure}");
+            self.hub.update_sink(&name, |sink| (sink.good, sink.detail) = (false, failure.message.clone()));
+        }
+    }
+
+    fn try_start_sink(&mut self, config: SinkConfig, name: &str) -> Result<(), Failure> {
         let (stop, stopped) = watch::channel(false);
         let hub = Arc::clone(&self.hub);
-        let (name, task) = match &config {
+        let task = match &config {
             SinkConfig::Http(http) => {
                 let site = Http::new(http, hub, self.clock, stopped.clone())?;
                 let serve = serve(site, http.clone(), Arc::clone(&self.hub), stopped);
-                (http::SINK.to_owned(), Ending::Task(tokio::spawn(serve)))
+                Ending::Task(tokio::spawn(serve))
             }
             SinkConfig::Mqtt(mqtt) => {
                 let broker = Broker::new(mqtt, &self.spool_folder(), hub)?;
-                (mqtt::SINK.to_owned(), Ending::Task(tokio::spawn(broker.run(stopped))))
+                Ending::Task(tokio::spawn(broker.run(stopped)))
             }
             SinkConfig::Can(frame, axis) => {
                 let layout = Layout::new(frame)?;
                 let task = can::run(frame.clone(), layout, axis.clone(), hub, stopped);
-                (can::sink_name(frame), Ending::Task(tokio::spawn(task)))
+                Ending::Task(tokio::spawn(task))
             }
             SinkConfig::Recording(recording, axes) => {
                 let folder = recording.folder.clone().unwrap_or_else(|| self.state_folder.join("recordings"));
                 let (recorder, thread) = recording::start(recording, &folder, axes.clone(), hub)?;
                 self.recorder.send_replace(Some(recorder.clone()));
-                (recording::SINK.to_owned(), Ending::Thread(recorder, thread))
+                Ending::Thread(recorder, thread)
             }
         };
-        self.hub.update_sink(&name, |_| {});
-        self.sinks.push(RunningSink { config, name, stop, task });
+        self.sinks.push(RunningSink { config, name: name.to_owned(), stop, task });
         Ok(())
     }
 
@@ -370,7 +388,7 @@ impl Daemon {
         }
         for sink in sinks {
             if !self.sinks.iter().any(|running| running.config == sink) {
-                self.start_sink(sink)?;
+                self.start_sink(sink);
             }
         }
         ready.into_iter().for_each(|axis| self.start_axis(axis));

@@ -209,7 +209,7 @@ impl Broker {
         let pushed =
             tokio::task::spawn_blocking(push).await.unwrap_or_else(|error| Err(io::Error::other(error)));
         match pushed {
-            Ok(number) if at_once => self.under_way = Some((number, now() + CONFIRMATION)),
+            Ok(number) if at_once && self.connected => self.under_way = Some((number, now() + CONFIRMATION)),
             Ok(_) => {}
             Err(error) => tracing::error!("an event cannot be kept for the broker: {error}"),
         }

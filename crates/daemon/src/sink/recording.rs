@@ -80,17 +80,16 @@ impl Recorder {
     }
 }
 
-/// Starts recording into a folder, which is made where it is missing.
+/// Starts recording into a folder, which is made where it is missing. One that cannot be written is told of and tried again.
 ///
 /// # Errors
-/// [`Failure`] where the folder cannot be made or the thread not started.
+/// [`Failure`] where the thread cannot be started.
 pub fn start(
     config: &RecordingConfig,
     folder: &Path,
     axes: Vec<String>,
     hub: Arc<Hub>,
 ) -> Result<(Recorder, JoinHandle<()>), Failure> {
-    fs::create_dir_all(folder).map_err(|error| Failure::writing(folder, error))?;
     let (sender, receiver) = sync_channel(UNDER_WAY);
     let axes: Arc<[String]> = axes.into();
     let lost = Arc::new(AtomicU64::new(0));
@@ -183,6 +182,7 @@ impl Tape {
             Record::Stop => return Ok(()),
         };
         if self.file.is_none() {
+            fs::create_dir_all(&self.folder)?;
             self.make_room()?;
             self.file = Some(TapeFile::create(&self.folder, time_ns)?);
         }

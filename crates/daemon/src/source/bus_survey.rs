@@ -15,6 +15,8 @@ const TOPICS_KEPT: usize = 4096;
 const FIELD_BITS: usize = 16;
 /// Mean step from frame to frame, as a share of the range, over which a field is no measured quantity.
 const SMOOTH: f64 = 0.05;
+/// Largest step as a share of the range: what counts up starts over with a whole range.
+const JUMP: f64 = 0.5;
 /// Smallest range of a raw field that could be a command, of its 65,536 values.
 const LEAST_RANGE: f64 = 200.0;
 /// Rates at which controllers send commands, Hz.
@@ -45,6 +47,9 @@ struct RawField {
     order: ByteOrder,
     last: Option<f64>,
     steps: f64,
+    largest_step: f64,
+    /// Bits of the raw values that differ from frame to frame.
+    changing: u64,
     count: u64,
     least: f64,
     largest: f64,
@@ -148,7 +153,18 @@ fn raw_fields(bytes: usize) -> Vec<RawField> {
         .filter_map(|(start, order)| {
             let place = BitField::new(start, FIELD_BITS, order, Encoding::Signed, 1.0, 0.0).ok()?;
             let (least, largest) = (f64::INFINITY, f64::NEG_INFINITY);
-            Some(RawField { place, start, order, last: None, steps: 0.0, count: 0, least, largest })
+            Some(RawField {
+                place,
+                start,
+                order,
+                last: None,
+                steps: 0.0,
+                largest_step: 0.0,
+                changing: 0,
+                count: 0,
+                least,
+                largest,
+            })
         })
         .collect()
 }
@@ -158,6 +174,8 @@ impl RawField {
         let Some(value) = self.place.value(frame.data()) else { return };
         if let Some(last) = self.last.replace(value) {
             self.steps += (value - last).abs();
+            self.changing |= (value as i64 ^ last as i64) as u64;
+            self.largest_step = self.largest_step.max((value - last).abs());
             self.count += 1;
         }
         self.least = self.least.min(value);
@@ -169,7 +187,10 @@ impl RawField {
         let range = self.largest - self.least;
         let both_signs = self.least < 0.0 && self.largest > 0.0;
         let roughness = self.steps / self.count.max(1) as f64 / range;
-        (both_signs && range >= LEAST_RANGE && roughness < SMOOTH).then_some(roughness)
+        let jumps = self.largest_step > JUMP * range;
+        // The upper byte of a command with something constant below it is as smooth; the command itself has fine steps.
+        let fine = self.changing & 0xff != 0;
+        (both_signs && fine && !jumps && range >= LEAST_RANGE && roughness < SMOOTH).then_some(roughness)
     }
 
     fn guess(&self, interface: String, identifier: Identifier) -> RawGuess {
