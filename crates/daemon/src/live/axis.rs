@@ -11,6 +11,7 @@ use tokio::sync::{mpsc, watch};
 use super::clock::Clock;
 use super::hub::{AxisStatus, Course, Hub, LIVE_POINTS, Order, TrendPoint, cycle_end_ns};
 use super::state::{AxisState, Keeper, LastEstimate};
+use super::systemd::ENDED;
 use crate::alarm::{Alarm, AlarmState, Latch};
 use crate::config::{Config, Pace};
 use crate::event::{CycleLine, Event, Flag};
@@ -86,6 +87,7 @@ pub async fn run(
         desk.tell_now_and_then(&pipeline, &source, ended);
         around.progress.fetch_add(1, Ordering::Relaxed);
         if ended {
+            around.progress.store(ENDED, Ordering::Relaxed);
             break true;
         }
     }

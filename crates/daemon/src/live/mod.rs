@@ -21,7 +21,7 @@ use std::time::{Duration, SystemTime};
 
 use sd_notify::NotifyState;
 use seepd_model::Model;
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
@@ -78,13 +78,36 @@ fn check_sink(config: &SinkConfig) -> Result<(), Failure> {
 pub async fn run(path: &Path) -> Result<(), Failure> {
     let config = Config::read(path)?;
     let mut daemon = Daemon::new(&config)?;
+    // Before it is ready: whoever reloads it then must not end it.
+    let signals = Signals::new()?;
     daemon.start(&config)?;
     tell(&[NotifyState::Ready, NotifyState::Status(&daemon.status_line())]);
     tracing::info!("{}", daemon.status_line());
-    let result = daemon.work(path).await;
+    let result = daemon.work(path, signals).await;
     tell(&[NotifyState::Stopping]);
     daemon.stop().await;
     result
+}
+
+/// What the daemon heeds.
+struct Signals {
+    reload: Signal,
+    terminate: Signal,
+    interrupt: Signal,
+}
+
+impl Signals {
+    fn new() -> Result<Self, Failure> {
+        let listen = |kind| {
+            signal(kind)
+                .map_err(|error| Failure::new(Code::Internal, format!("listening for signals: {error}")))
+        };
+        Ok(Signals {
+            reload: listen(SignalKind::hangup())?,
+            terminate: listen(SignalKind::terminate())?,
+            interrupt: listen(SignalKind::interrupt())?,
+        })
+    }
 }
 
 /// An axis at work.
@@ -168,7 +191,11 @@ impl Daemon {
     /// Starts sinks, then axes. An axis that cannot be started leaves the others alone, unless it is the only one.
     fn start(&mut self, config: &Config) -> Result<(), Failure> {
         let sinks = sink_configs(config);
-        sinks.iter().try_for_each(check_sink)?;
+        // A file that is named and missing is a fault of the configuration, which no new start mends.
+        sinks
+            .iter()
+            .try_for_each(check_sink)
+            .map_err(|failure| Failure::new(Code::Configuration, failure.message))?;
         sinks.into_iter().for_each(|sink| self.start_sink(sink));
         let mut first_failure = None;
         for axis in &config.axis_tables() {
@@ -270,12 +297,8 @@ impl Daemon {
     }
 
     /// Works until told to stop, or until all axes have ended.
-    async fn work(&mut self, path: &Path) -> Result<(), Failure> {
-        let failed =
-            |error: std::io::Error| Failure::new(Code::Internal, format!("listening for signals: {error}"));
-        let mut reload = signal(SignalKind::hangup()).map_err(failed)?;
-        let mut terminate = signal(SignalKind::terminate()).map_err(failed)?;
-        let mut interrupt = signal(SignalKind::interrupt()).map_err(failed)?;
+    async fn work(&mut self, path: &Path, signals: Signals) -> Result<(), Failure> {
+        let Signals { mut reload, mut terminate, mut interrupt } = signals;
         let mut kept = self.keeper.changes();
         let mut events = self.hub.subscribe();
         let watch_every = self.watchdog.every.unwrap_or(LOOK);
@@ -283,10 +306,10 @@ impl Daemon {
         trend.tick().await;
         let mut watch = tokio::time::interval(watch_every.min(LOOK * 5));
         watch.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        loop {
+        let result = loop {
             tokio::select! {
-                _ = terminate.recv() => return Ok(()),
-                _ = interrupt.recv() => return Ok(()),
+                _ = terminate.recv() => break Ok(()),
+                _ = interrupt.recv() => break Ok(()),
                 _ = reload.recv() => self.reload(path).await,
                 Some(event) = events.recv() => self.record(&event),
                 _ = kept.changed() => self.write_state().await,
@@ -296,14 +319,15 @@ impl Daemon {
                         self.watchdog.feed();
                     }
                     if self.axes.iter().all(|axis| axis.task.is_finished()) {
-                        while let Ok(event) = events.try_recv() {
-                            self.record(&event);
-                        }
-                        return self.heed_ended().await;
+                        break self.heed_ended().await;
                     }
                 }
             }
+        };
+        while let Ok(event) = events.try_recv() {
+            self.record(&event);
         }
+        result
     }
 
     fn record(&self, event: &Arc<hub::Publication>) {
@@ -397,11 +421,12 @@ impl Daemon {
     }
 
     async fn end_sink(&mut self, sink: RunningSink) {
-        self.hub.remove_sink(&sink.name);
         if matches!(sink.task, Ending::Thread(..)) {
             self.recorder.send_replace(None);
         }
+        let name = sink.name.clone();
         sink.end().await;
+        self.hub.remove_sink(&name);
     }
 
     /// Ends axes, writes the state, ends sinks: in this order, so that the last events still go out.

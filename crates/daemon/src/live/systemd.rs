@@ -13,6 +13,9 @@ pub fn tell(states: &[NotifyState<'_>]) {
     }
 }
 
+/// Progress of an axis whose log has ended: there is nothing left to do, and nothing to starve for.
+pub const ENDED: u64 = u64::MAX;
+
 /// The watchdog: it is fed only where every axis has worked through its input since the last time.
 pub struct Watchdog {
     axes: Vec<(Arc<AtomicU64>, u64)>,
@@ -29,12 +32,15 @@ impl Watchdog {
 
     /// The axes that are to be watched from now on.
     pub fn watch(&mut self, axes: Vec<Arc<AtomicU64>>) {
-        self.axes = axes.into_iter().map(|progress| (progress, u64::MAX)).collect();
+        self.axes = axes.into_iter().map(|progress| (progress, ENDED)).collect();
     }
 
     /// Whether every axis has made progress since the last time that all had.
     pub fn all_progressed(&mut self) -> bool {
-        let all = self.axes.iter().all(|(progress, before)| progress.load(Ordering::Relaxed) != *before);
+        let all = self.axes.iter().all(|(progress, before)| {
+            let now = progress.load(Ordering::Relaxed);
+            now == ENDED || now != *before
+        });
         if all {
             for (progress, before) in &mut self.axes {
                 *before = progress.load(Ordering::Relaxed);
@@ -70,6 +76,13 @@ mod tests {
         a.fetch_add(1, Ordering::Relaxed);
         assert!(!watchdog.all_progressed());
         b.fetch_add(1, Ordering::Relaxed);
+        assert!(watchdog.all_progressed());
+        assert!(!watchdog.all_progressed());
+        // An axis whose log has ended is waited for no longer.
+        b.store(ENDED, Ordering::Relaxed);
+        a.fetch_add(1, Ordering::Relaxed);
+        assert!(watchdog.all_progressed());
+        a.fetch_add(1, Ordering::Relaxed);
         assert!(watchdog.all_progressed());
         assert!(!watchdog.all_progressed());
     }
