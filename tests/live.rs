@@ -37,6 +37,14 @@ fn recordings(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
+/// Configuration of the machine with a page, and no other sink.
+fn press_with_page(socket: &Path, port: u16) -> String {
+    format!(
+        "axis = \"press-1\"\nstate_dir = \"state\"\n{}[http]\nlisten = \"127.0.0.1:{port}\"\n",
+        machine_toml(socket)
+    )
+}
+
 /// Lines of a replay without the axis's name.
 fn told(log: &[PathBuf], more: &[&str]) -> Vec<String> {
     let mut arguments = vec!["replay", "--json"];
@@ -371,10 +379,7 @@ fn alarms_and_latches_survive_a_kill_and_the_state_of_an_older_version_is_taken_
         log.display()
     );
     assert!(Daemon::start(folder.path(), &fast).wait().success());
-    let live = format!(
-        "axis = \"press-1\"\nstate_dir = \"state\"\n{}[http]\nlisten = \"127.0.0.1:{port}\"\n",
-        machine_toml(&folder.path().join("in.sock"))
-    );
+    let live = press_with_page(&folder.path().join("in.sock"), port);
     let condition =
         |status: &serde_json::Value| ["level", "latched", "acknowledged"].map(|key| status[key].clone());
     let mut daemon = Daemon::start(folder.path(), &live);
@@ -524,10 +529,7 @@ fn http_asks_for_the_token_and_refuses_other_places() {
 fn bad_frames_are_counted_and_the_rest_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     let (socket, port) = (folder.path().join("in.sock"), free_port());
-    let config = format!(
-        "axis = \"press-1\"\nstate_dir = \"state\"\n{}[http]\nlisten = \"127.0.0.1:{port}\"\n",
-        machine_toml(&socket)
-    );
+    let config = press_with_page(&socket, port);
     let daemon = Daemon::start(folder.path(), &config);
     let sender = UnixDatagram::unbound().unwrap();
     until("the socket", SOON, || sender.connect(&socket).is_ok());
@@ -623,10 +625,7 @@ fn a_folder_that_cannot_be_written_stops_the_recording_alone() {
 fn two_senders_on_one_identifier_give_no_estimate_and_are_told() {
     let folder = tempfile::tempdir().unwrap();
     let (socket, port) = (folder.path().join("in.sock"), free_port());
-    let config = format!(
-        "axis = \"press-1\"\nstate_dir = \"state\"\n{}[http]\nlisten = \"127.0.0.1:{port}\"\n",
-        machine_toml(&socket)
-    );
+    let config = press_with_page(&socket, port);
     let daemon = Daemon::start(folder.path(), &config);
     let machines =
         [Machine::start(&socket, cycle("nominal_leak_0.csv")), Machine::start(&socket, vec![0.5; 1000])];
@@ -748,6 +747,7 @@ fn configurations_that_cannot_work_are_refused_before_the_start() {
         ("[[axes]]\naxis = \"a\"\n[[axes]]\naxis = \"a\"\n", "two axes are called `a`"),
         ("axis = \"x\"\n[[axes]]\naxis = \"a\"\n", "at its top"),
         ("[[axes]]\naxis = \"a\"\n[axes.http]\n", "stand at the file's top"),
+        ("[[axes]]\naxis = \"a\"\nreference_dp_pa = -1.0\n", "reference_dp_pa is -1"),
         ("[http]\nlisten = \"127.0.0.1:1883\"\n[mqtt]\n", "same port 1883"),
         ("[mqtt]\nprefix = \"#\"\n", "mqtt.prefix"),
         ("[mqtt]\nversion = \"4\"\n", "3.1.1"),
@@ -789,10 +789,7 @@ fn the_dashboard_shows_the_machine_in_a_browser() {
         log.display()
     );
     assert!(Daemon::start(folder.path(), &fast).wait().success());
-    let live = format!(
-        "axis = \"press-1\"\nstate_dir = \"state\"\n{}[http]\nlisten = \"127.0.0.1:{port}\"\n",
-        machine_toml(&socket)
-    );
+    let live = press_with_page(&socket, port);
     let daemon = Daemon::start(folder.path(), &live);
     let machine = Machine::start(&socket, cycle("nominal_leak_1e-6.csv"));
     until("samples", SOON, || {

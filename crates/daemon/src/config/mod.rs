@@ -150,26 +150,15 @@ impl Config {
     /// One line with line and key.
     pub fn parse(text: &str) -> Result<Self, String> {
         let config: Config = parse_toml(text).map_err(|error| error.to_string())?;
-        if !(1e5..=1e8).contains(&config.reference_dp_pa) {
-            return Err(format!(
-                "reference_dp_pa is {}; it must lie in 1e5 … 1e8 Pa",
-                config.reference_dp_pa
-            ));
-        }
-        if !(0.0..=8784.0).contains(&config.operating_hours_per_year) {
-            return Err(format!(
-                "operating_hours_per_year is {}; it must lie in 0 … 8784",
-                config.operating_hours_per_year
-            ));
-        }
         config.check_axes()?;
         live::check_sinks(&config)?;
         Ok(config)
     }
 
     fn check_axes(&self) -> Result<(), String> {
+        self.axes().iter().try_for_each(Config::check_axis)?;
         for axis in &self.axes {
-            if axis.sinks() != Config::default().sinks() || !axis.axes.is_empty() {
+            if axis.clone().without_sinks() != *axis || !axis.axes.is_empty() {
                 let name = &axis.axis;
                 return Err(format!(
                     "axes: {name} has sinks or axes of its own; these stand at the file's top"
@@ -187,12 +176,21 @@ impl Config {
         if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
             return Err(format!("two axes are called `{}`", twice[0]));
         }
-        self.axes().iter().try_for_each(|axis| axis.check_axis())
+        Ok(())
     }
 
     fn check_axis(&self) -> Result<(), String> {
         if self.axis.is_empty() || self.axis.contains(['/', '#', '+', '\0', '"', '\\']) {
             return Err(format!("axis is `{}`; names have no / # + \" \\ and are not empty", self.axis));
+        }
+        if !(1e5..=1e8).contains(&self.reference_dp_pa) {
+            return Err(format!("reference_dp_pa is {}; it must lie in 1e5 … 1e8 Pa", self.reference_dp_pa));
+        }
+        if !(0.0..=8784.0).contains(&self.operating_hours_per_year) {
+            return Err(format!(
+                "operating_hours_per_year is {}; it must lie in 0 … 8784",
+                self.operating_hours_per_year
+            ));
         }
         for (signal, mapping) in &self.signals {
             if !mapping.scale.is_finite() || mapping.scale == 0.0 || !mapping.offset.is_finite() {
@@ -214,19 +212,6 @@ impl Config {
     /// The axes without the tables of the whole daemon.
     pub fn axis_tables(&self) -> Vec<Config> {
         self.axes().iter().map(|axis| axis.clone().without_sinks()).collect()
-    }
-
-    #[expect(clippy::type_complexity, reason = "compared, and nothing else")]
-    fn sinks(
-        &self,
-    ) -> (
-        &Option<PathBuf>,
-        &Option<HttpConfig>,
-        &Option<MqttConfig>,
-        &Vec<CanOutConfig>,
-        &Option<RecordingConfig>,
-    ) {
-        (&self.state_dir, &self.http, &self.mqtt, &self.can_out, &self.recording)
     }
 
     /// The same without the tables that an axis does not have.
