@@ -88,6 +88,14 @@ pub struct CycleLine<'a> {
     pub features: Option<FeatureValues<'a>>,
 }
 
+impl CycleLine<'_> {
+    /// End, ns in the log's own time.
+    pub fn t_end_ns(&self) -> i64 {
+        let length_ns = ((self.t_end_s - self.t_start_s) * 1e9).round() as i64;
+        self.t_start_ns.saturating_add(length_ns)
+    }
+}
+
 /// What a change of flag is based on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Evidence {

@@ -8,6 +8,7 @@ use seepd_model::Model;
 use seepd_signals::Sample;
 
 use crate::alarm::{Alarm, AlarmConfig, Change};
+use crate::config::Config;
 use crate::event::{CycleLine, Event, FeatureValues, Flag, FlagEvent, LPM_PER_M3_PER_S, Summary};
 
 /// What the pipeline needs to know.
@@ -193,6 +194,14 @@ impl<'m> Pipeline<'m> {
                 .first_ns
                 .map_or(0.0, |first| (progress.newest_ns.saturating_sub(first)) as f64 / 1e9),
         }
+    }
+}
+
+impl<'m> PipelineConfig<'m> {
+    /// What an axis's configuration says; `projections` are the model's.
+    pub fn new(config: &'m Config, model: &'m Model, projections: &'m [Projection<'m>]) -> Self {
+        let Config { axis, alarm, reference_dp_pa, .. } = config;
+        PipelineConfig { axis, model, projections, alarm, reference_dp_pa: *reference_dp_pa }
     }
 }
 

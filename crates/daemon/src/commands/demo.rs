@@ -91,13 +91,7 @@ fn replay(log: &Path, spec: &MachineSpec, turns: &[Turn]) -> Result<DemoPage, Fa
     let config = Config { axis: "demo press".into(), ..Config::default() };
     let model = config.load_model()?;
     let projections = model.projections();
-    let pipeline_config = PipelineConfig {
-        axis: &config.axis,
-        model: &model,
-        projections: &projections,
-        alarm: &config.alarm,
-        reference_dp_pa: config.reference_dp_pa,
-    };
+    let pipeline_config = PipelineConfig::new(&config, &model, &projections);
     let mut pipeline = Pipeline::new(pipeline_config);
     let truth =
         Truth { turns, period_s: spec.cycle.period_s, flow_lpm: &|area| pipeline_config.flow_lpm(area) };

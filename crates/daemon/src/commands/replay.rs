@@ -104,13 +104,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         None => config.load_model()?,
     };
     let projections = model.projections();
-    let mut pipeline = Pipeline::new(PipelineConfig {
-        axis: &config.axis,
-        model: &model,
-        projections: &projections,
-        alarm: &config.alarm,
-        reference_dp_pa: config.reference_dp_pa,
-    });
+    let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &model, &projections));
     let create =
         |path: &Path| File::create(path).map(BufWriter::new).map_err(|error| Failure::writing(path, error));
     let mut files = Files::default();

@@ -9,7 +9,7 @@ use seepd_signals::{Sample, Signal};
 use tokio::sync::{mpsc, watch};
 
 use super::clock::Clock;
-use super::hub::{AxisStatus, Course, Hub, LIVE_POINTS, Order, TrendPoint, cycle_end_ns};
+use super::hub::{AxisStatus, Course, Hub, LIVE_POINTS, Order, TrendPoint};
 use super::state::{AxisState, Keeper, LastEstimate};
 use super::systemd::ENDED;
 use crate::alarm::{Alarm, AlarmState, Latch};
@@ -48,13 +48,7 @@ pub async fn run(
     mut stop: watch::Receiver<bool>,
 ) -> bool {
     let projections = model.projections();
-    let mut pipeline = Pipeline::new(PipelineConfig {
-        axis: &config.axis,
-        model: &model,
-        projections: &projections,
-        alarm: &config.alarm,
-        reference_dp_pa: config.reference_dp_pa,
-    });
+    let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &model, &projections));
     let mut desk = Desk::new(&config, &model, &around);
     if let Some(state) = around.keeper.restored(&config.axis) {
         pipeline.restore(Alarm::from(state.alarm));
@@ -185,7 +179,7 @@ impl<'a> Desk<'a> {
     }
 
     fn note_cycle(&mut self, line: &CycleLine<'_>) {
-        let end_ns = cycle_end_ns(line);
+        let end_ns = line.t_end_ns();
         let delay_ns = self.around.clock.now_ns().saturating_sub(self.sample_ns);
         self.last = Some(LastCycle { cycle: line.cycle, end_ns, delay_s: delay_ns.max(0) as f64 / 1e9 });
         let course = Course {

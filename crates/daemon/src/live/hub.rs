@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use serde::{Deserialize, Serialize};
 use tokio::sync::{mpsc, watch};
 
-use crate::event::{CycleLine, Event, Flag, FlagEvent};
+use crate::event::{Event, Flag, FlagEvent};
 use crate::live::clock;
 use crate::source::live::SourceHealth;
 
@@ -379,7 +379,7 @@ impl Hub {
     /// Publishes an event of the pipeline.
     pub fn publish_event(&self, event: &Event<'_>) {
         match event {
-            Event::Cycle(line) => self.publish(Kind::Cycle, line.axis, cycle_end_ns(line), line),
+            Event::Cycle(line) => self.publish(Kind::Cycle, line.axis, line.t_end_ns(), line),
             Event::Flag(flag) => self.publish(Kind::Flag, flag.axis, flag.t_ns, flag as &FlagEvent<'_>),
         }
     }
@@ -414,10 +414,4 @@ impl Hub {
         let publication = Arc::new(Publication { kind, axis: axis.to_owned(), t_ns, json, event_json });
         inner.subscribers.retain(|subscriber| subscriber.send(Arc::clone(&publication)).is_ok());
     }
-}
-
-/// End of a cycle on the line of time, ns.
-pub fn cycle_end_ns(line: &CycleLine<'_>) -> i64 {
-    let length_ns = ((line.t_end_s - line.t_start_s) * 1e9).round() as i64;
-    line.t_start_ns.saturating_add(length_ns)
 }

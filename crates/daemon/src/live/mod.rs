@@ -250,6 +250,10 @@ impl Daemon {
         let model_changed = changed(&config);
         let task = tokio::spawn(axis::run(config.clone(), model, source, around, orders, stopped));
         self.axes.push(RunningAxis { config, model_changed, stop, task, progress });
+        self.watch_axes();
+    }
+
+    fn watch_axes(&mut self) {
         self.watchdog.watch(self.axes.iter().map(|axis| Arc::clone(&axis.progress)).collect());
     }
 
@@ -416,7 +420,7 @@ impl Daemon {
             }
         }
         ready.into_iter().for_each(|axis| self.start_axis(axis));
-        self.watchdog.watch(self.axes.iter().map(|axis| Arc::clone(&axis.progress)).collect());
+        self.watch_axes();
         Ok(())
     }
 

@@ -171,12 +171,7 @@ impl<W: Write + Seek> EventSink<W> {
         self.line.clear();
         let (channel, time_ns, result) = match event {
             Event::Cycle(line) => {
-                let length_ns = ((line.t_end_s - line.t_start_s) * 1e9).round() as i64;
-                (
-                    self.leakage,
-                    line.t_start_ns.saturating_add(length_ns),
-                    serde_json::to_writer(&mut self.line, line),
-                )
+                (self.leakage, line.t_end_ns(), serde_json::to_writer(&mut self.line, line))
             }
             Event::Flag(flag) => (self.flags, flag.t_ns, serde_json::to_writer(&mut self.line, flag)),
         };

@@ -366,6 +366,12 @@ impl Broker {
         Connection { client, told, task }
     }
 
+    fn transport(&self) -> Transport {
+        self.tls.as_ref().map_or(Transport::Tcp, |tls| {
+            Transport::tls_with_config(TlsConfiguration::Rustls(Arc::clone(tls)))
+        })
+    }
+
     fn connect_3(&self, teller: mpsc::Sender<Told>) -> (Client, JoinHandle<()>) {
         use rumqttc::{AsyncClient, Event, LastWill, MqttOptions, Packet};
         let mut options = MqttOptions::new(&self.client_id, &self.config.host, self.config.port());
@@ -377,9 +383,7 @@ impl Broker {
         if let Some(user) = &self.config.username {
             options.set_credentials(user, self.password.as_deref().unwrap_or_default());
         }
-        if let Some(tls) = &self.tls {
-            options.set_transport(Transport::tls_with_config(TlsConfiguration::Rustls(Arc::clone(tls))));
-        }
+        options.set_transport(self.transport());
         let (client, mut connection) = AsyncClient::new(options, REQUESTS);
         let task = tokio::spawn(async move {
             loop {
@@ -411,9 +415,7 @@ impl Broker {
         if let Some(user) = &self.config.username {
             options.set_credentials(user, self.password.as_deref().unwrap_or_default());
         }
-        if let Some(tls) = &self.tls {
-            options.set_transport(Transport::tls_with_config(TlsConfiguration::Rustls(Arc::clone(tls))));
-        }
+        options.set_transport(self.transport());
         let (client, mut connection) = AsyncClient::new(options, REQUESTS);
         let task = tokio::spawn(async move {
             loop {
