@@ -260,7 +260,18 @@ fn another_machine_is_trained_and_read_from_its_plant_file() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
     let plant = fixture("other_press.toml").to_str().unwrap().to_owned();
-    let small = ["--observations", "500", "--held-out", "100", "--trials", "6"];
+    let small = [
+        "--observations",
+        "500",
+        "--held-out",
+        "100",
+        "--trials",
+        "6",
+        "--compared",
+        "60",
+        "--calibration",
+        "60",
+    ];
     stdout(&seepd(["train", "--plant", &plant, "--out", &path("model.json")].into_iter().chain(small)));
     let log = folder.path().join("log.mcap");
     for (area, command_only) in [("4e-7", false), ("4e-7", true), ("5e-6", true)] {

@@ -251,7 +251,18 @@ fn a_model_trained_on_the_emitted_plant_sizes_the_leak_that_the_default_one_does
     let found = diagnose(&log, &["--emit-plant", text_of(&plant)]);
     // The diagnosis goes to standard output with `--json -`; the plant file is written all the same.
     assert_eq!(found["chosen"][0], "valve_bias");
-    let quick = ["--observations", "1024", "--held-out", "128", "--trials", "4"];
+    let quick = [
+        "--observations",
+        "1024",
+        "--held-out",
+        "128",
+        "--trials",
+        "4",
+        "--compared",
+        "60",
+        "--calibration",
+        "200",
+    ];
     let output =
         seepd([&["train", "--plant", text_of(&plant), "--out", text_of(&model)], &quick[..]].concat());
     stdout(&output);

@@ -230,13 +230,19 @@ impl Alarm {
 
     /// A cycle's estimate, as a flow at the reference pressure difference, L/min.
     pub fn estimated(&mut self, config: &AlarmConfig, flow_lpm: f64) -> Option<Change> {
+        self.estimated_with(config, flow_lpm, false)
+    }
+
+    /// The same where the sums over cycles may have found a leak below the threshold, which is to be watched then.
+    pub fn estimated_with(&mut self, config: &AlarmConfig, flow_lpm: f64, found: bool) -> Option<Change> {
         let from = self.flag();
         let regained = self.reason.take().is_some();
         self.rejected = 0;
         for (index, flag) in RISING.into_iter().enumerate() {
             let threshold = config.threshold_lpm(flag);
-            self.above[index].note(flow_lpm >= threshold, flow_lpm);
-            self.below[index].note(flow_lpm < config.clear_share * threshold, flow_lpm);
+            let found = found && flag == Flag::Watch;
+            self.above[index].note(flow_lpm >= threshold || found, flow_lpm);
+            self.below[index].note(flow_lpm < config.clear_share * threshold && !found, flow_lpm);
         }
         let evidence = self.raised(config).or_else(|| self.cleared(config));
         self.highest = self.highest.max(self.level);

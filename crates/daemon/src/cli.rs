@@ -38,6 +38,8 @@ enum Command {
     Study(commands::study::StudyArguments),
     /// Read logs (MCAP, CSV, candump): leak by cycle, flags, summary
     Replay(commands::replay::ReplayArguments),
+    /// Learn the healthy machine, so that estimates are relative to it
+    LearnBaseline(commands::learn_baseline::LearnBaselineArguments),
     /// Watch axes live: CAN in; leakage, flags and a dashboard out
     #[cfg(feature = "live")]
     Run(commands::run::RunArguments),
@@ -81,6 +83,7 @@ pub fn main() -> ExitCode {
         #[cfg(feature = "study")]
         Command::Study(arguments) => commands::study::run(arguments),
         Command::Replay(arguments) => commands::replay::run(arguments),
+        Command::LearnBaseline(arguments) => commands::learn_baseline::run(arguments),
         #[cfg(feature = "live")]
         Command::Run(arguments) => commands::run::run(arguments),
         #[cfg(feature = "live")]

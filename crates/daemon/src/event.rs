@@ -5,6 +5,9 @@ use std::collections::BTreeMap;
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Serialize, Serializer};
 
+use crate::baseline::trend::TimeTo;
+use crate::baseline::{Finding, LoadKnowledge};
+
 /// L/min in a m³/s.
 pub const LPM_PER_M3_PER_S: f64 = 60_000.0;
 
@@ -83,9 +86,39 @@ pub struct CycleLine<'a> {
     pub flag: Flag,
     /// Why there is no estimate.
     pub reason: Option<&'static str>,
+    /// What the comparison with a baseline says; its fields are absent where there is none.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub comparison: Option<ComparisonLine<'a>>,
     /// Features by name; absent for a rejected cycle.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub features: Option<FeatureValues<'a>>,
+}
+
+/// A cycle's comparison with the machine's baseline: fields of its line. The line's own estimate is then relative to the baseline.
+#[derive(Debug, Clone, Serialize)]
+pub struct ComparisonLine<'a> {
+    /// The simulator-trained estimate, which knows no baseline, m².
+    pub absolute_leak_area_m2: f64,
+    /// Its interval, m².
+    pub absolute_interval90_m2: [f64; 2],
+    /// The response, m²: around 0 for a machine as it was at its baseline, negative as often as not.
+    pub response_m2: f64,
+    /// Distance from what training has seen, over its limit; above 1 there is no estimate.
+    pub novelty: f64,
+    /// What is known of the load.
+    pub load: LoadKnowledge,
+    /// Load over the baseline's, less 1.
+    pub load_change: Option<f64>,
+    /// What the sums over cycles say.
+    pub finding: Finding,
+    /// Sum for a leak, standard deviations of the response.
+    pub drift_sum: f64,
+    /// When the flag `leak` is to be expected, from the end of this cycle; null where no growth is certain.
+    pub time_to_leak: Option<TimeTo>,
+    /// The same for `severe`.
+    pub time_to_severe: Option<TimeTo>,
+    /// What each phase, and the load, contributes to the response, m².
+    pub why: FeatureValues<'a>,
 }
 
 impl CycleLine<'_> {
@@ -132,6 +165,45 @@ pub struct FlagEvent<'a> {
     pub evidence: Evidence,
 }
 
+/// What a notice is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NoticeKind {
+    /// A baseline has been learned.
+    BaselineLearned,
+    /// The cycles gave no baseline; learning begins anew.
+    BaselineFailed,
+    /// The sums over cycles find a leak.
+    LeakFound,
+    /// They do not any more.
+    LeakGone,
+    /// There is less leakage than at the baseline.
+    Improved,
+    /// The load's signal stands still.
+    LoadFrozen,
+    /// The machine has become another one: it needs a new baseline.
+    UnlikeBaseline,
+}
+
+/// `seepd.notice/1`: something that a person should know, and that is no change of flag.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Notice<'a> {
+    /// `seepd.notice/1`.
+    pub schema: &'static str,
+    /// Machine axis.
+    pub axis: &'a str,
+    /// What it is about.
+    pub notice: NoticeKind,
+    /// The same in words, with what to do.
+    pub text: String,
+    /// Number of the cycle that decided.
+    pub cycle: u64,
+    /// Time, s from the log's first sample.
+    pub t_s: f64,
+    /// Time, ns in the log's own time.
+    pub t_ns: i64,
+}
+
 /// `seepd.summary/1`: the last line.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
@@ -170,4 +242,6 @@ pub enum Event<'a> {
     Cycle(CycleLine<'a>),
     /// A change of flag.
     Flag(FlagEvent<'a>),
+    /// Something else that a person should know.
+    Notice(Notice<'a>),
 }

@@ -4,6 +4,7 @@
 //! into text and files. Files and the terminal are known here and nowhere else.
 
 pub mod alarm;
+pub mod baseline;
 pub mod can;
 pub mod cli;
 pub mod commands;

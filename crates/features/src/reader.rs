@@ -5,6 +5,8 @@ use seepd_signals::{Sample, Signal};
 use crate::feature::Feature;
 use crate::intake::{Counts, IntakeState, Verdict};
 use crate::kalman::{Kalman, KalmanState};
+use crate::load::{LoadState, PistonAreas};
+use crate::noise::NoiseState;
 use crate::segment::{CycleDefinition, Finding, Orphan, SegmentState, Span};
 use crate::statistics::{CycleStatistics, RingView};
 
@@ -88,6 +90,7 @@ pub struct CycleReader<'m> {
     period_ns: f64,
     /// Samples after which a command that stands still in a stroke is stuck.
     stuck_samples: i64,
+    areas: Option<PistonAreas>,
 }
 
 /// Most features of a cycle.
@@ -108,6 +111,8 @@ pub struct CycleState<B> {
     counts: Counts,
     intake: IntakeState,
     kalman: KalmanState,
+    noise: NoiseState,
+    load: LoadState,
     segment: SegmentState,
     ring: B,
     cursor: usize,
@@ -190,6 +195,8 @@ impl<B: AsRef<[f32]> + AsMut<[f32]>> CycleState<B> {
             counts: Counts::default(),
             intake: IntakeState::default(),
             kalman: KalmanState::default(),
+            noise: NoiseState::default(),
+            load: LoadState::default(),
             segment: SegmentState::default(),
             ring,
             cursor: 0,
@@ -243,7 +250,14 @@ impl<'m> CycleReader<'m> {
             features,
             period_ns: 1e9 / definition.sample_rate_hz,
             stuck_samples: (STUCK_SHARE * definition.period_s * definition.sample_rate_hz) as i64,
+            areas: None,
         }
+    }
+
+    /// The same, which takes the load from the chambers' pressures where the samples have no load.
+    #[must_use]
+    pub fn with_piston_areas(self, areas: Option<PistonAreas>) -> Self {
+        CycleReader { areas, ..self }
     }
 
     /// The duty cycle.
@@ -265,6 +279,7 @@ impl<'m> CycleReader<'m> {
         sample: &Sample,
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
+        state.load.take(&self.definition, self.areas, state.next, sample);
         match state.intake.judge(&mut state.counts, sample, self.period_ns) {
             Verdict::Drop => return,
             Verdict::Use { command, bridged } => {
@@ -335,6 +350,8 @@ impl<'m> CycleReader<'m> {
         };
         state.segment = SegmentState::default();
         state.kalman = KalmanState::default();
+        state.noise = NoiseState::default();
+        state.load = LoadState::default();
         state.filled = 0;
         state.next = 0;
         state.run_start = 0;
@@ -350,6 +367,7 @@ impl<'m> CycleReader<'m> {
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
         let number = state.next;
+        state.noise.take(command);
         self.note_standstill(state, command, number);
         let filtered = match &self.filter {
             Some(kalman) => kalman.step(&mut state.kalman, command),
@@ -541,7 +559,9 @@ impl<'m> CycleReader<'m> {
         let period_ns = self.period_ns;
         let start_ns = state.time_ns(span.start, period_ns);
         let end_ns = state.time_ns(span.end, period_ns);
-        let statistics = CycleStatistics::of(&self.definition, &state.view(), span);
+        let mut statistics = CycleStatistics::of(&self.definition, &state.view(), span);
+        statistics.noise = state.noise.deviation();
+        statistics.load = state.load.summary(&self.definition, span);
         let mut features = [0.0; MAX_FEATURES];
         for (value, feature) in features.iter_mut().zip(self.features) {
             *value = feature.of(&self.definition, &statistics);

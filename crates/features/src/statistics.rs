@@ -1,5 +1,6 @@
 //! What is computed once for a cycle, from which each feature is then read off.
 
+use crate::load::LoadSummary;
 use crate::moments::{MomentSummary, Moments};
 use crate::segment::{CycleDefinition, MAX_CYCLE_BINS, MAX_PHASES, PhaseKind, Span};
 
@@ -105,6 +106,10 @@ pub struct CycleStatistics {
     pub stroke_scale: f64,
     /// Coefficient of variation of the magnitude within strokes.
     pub amplitude_variation: f64,
+    /// Standard deviation of the measurement noise on the command before the filter, share of full command.
+    pub noise: f64,
+    /// The load over the cycle, where the samples tell it.
+    pub load: Option<LoadSummary>,
     bins: [f32; MAX_CYCLE_BINS],
     bin_count: usize,
 }
@@ -129,6 +134,8 @@ impl CycleStatistics {
             edge_times_s: (0.0, 0.0),
             stroke_scale: 0.0,
             amplitude_variation: 0.0,
+            noise: 0.0,
+            load: None,
             bins: [0.0; MAX_CYCLE_BINS],
             bin_count: definition.cycle_bins(),
         };

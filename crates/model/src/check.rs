@@ -8,7 +8,8 @@ use seepd_features::Feature;
 use seepd_features::reader::MAX_FEATURES;
 use seepd_features::segment::{MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS};
 
-use crate::schema::{Calibration, Cycle, Filter, ModelFile, SCHEMA, Transform, Tree};
+use crate::relative::Inputs;
+use crate::schema::{Calibration, Cycle, Filter, ModelFile, RelativeFile, SCHEMA, Transform, Tree};
 
 /// Largest file that is read, bytes: sixteen times the size that training aims at, and small on any gateway.
 pub const MAX_FILE_BYTES: usize = 16 << 20;
@@ -105,7 +106,8 @@ pub(crate) fn check(file: &ModelFile) -> Result<(), ModelError> {
     for (index, tree) in file.trees.iter().enumerate() {
         check_tree(tree, file.features.len(), &format!("trees[{index}]"))?;
     }
-    check_calibration(&file.calibration)
+    check_calibration(&file.calibration, "calibration")?;
+    file.relative.as_ref().map_or(Ok(()), |relative| check_relative(relative, file.cycle.phases.len()))
 }
 
 fn within(path: &str, value: f64, low: f64, high: f64) -> Result<(), ModelError> {
@@ -252,19 +254,90 @@ fn check_tree(tree: &Tree, features: usize, path: &str) -> Result<(), ModelError
     }
 }
 
-fn check_calibration(calibration: &Calibration) -> Result<(), ModelError> {
-    within("calibration.level", calibration.level, 0.5, 1.0)?;
-    within("calibration.spread_floor", calibration.spread_floor, 0.0, 1e3)?;
-    if calibration.factors.is_empty() {
-        return refuse("calibration.factors", "is empty");
+fn check_calibration(calibration: &Calibration, path: &str) -> Result<(), ModelError> {
+    within(&format!("{path}.level"), calibration.level, 0.5, 1.0)?;
+    within(&format!("{path}.spread_floor"), calibration.spread_floor, 0.0, 1e3)?;
+    within(&format!("{path}.healthy_limit"), calibration.healthy_limit, 0.0, 1.0)?;
+    check_factors(&calibration.factors, &format!("{path}.factors"))?;
+    let mut before = 0.0;
+    for (index, (noise, factors)) in calibration.by_noise.iter().enumerate() {
+        if !noise.is_finite() || *noise <= before {
+            return refuse(
+                format!("{path}.by_noise[{index}][0]"),
+                format!("is {noise}; it must ascend from above 0"),
+            );
+        }
+        before = *noise;
+        check_factors(factors, &format!("{path}.by_noise[{index}][1]"))?;
+    }
+    Ok(())
+}
+
+fn check_factors(factors: &[(f64, f64)], path: &str) -> Result<(), ModelError> {
+    if factors.is_empty() {
+        return refuse(path, "is empty");
     }
     let mut before = f64::NEG_INFINITY;
-    for (index, (y, factor)) in calibration.factors.iter().enumerate() {
-        within(&format!("calibration.factors[{index}][1]"), *factor, 0.0, 1e6)?;
+    for (index, (y, factor)) in factors.iter().enumerate() {
+        within(&format!("{path}[{index}][1]"), *factor, 0.0, 1e6)?;
         if !y.is_finite() || *y <= before {
-            return refuse(format!("calibration.factors[{index}][0]"), format!("is {y}; it must ascend"));
+            return refuse(format!("{path}[{index}][0]"), format!("is {y}; it must ascend"));
         }
         before = *y;
+    }
+    Ok(())
+}
+
+fn has_length(path: &str, values: &[f64], length: usize) -> Result<(), ModelError> {
+    if values.len() != length {
+        return refuse(path, format!("has {} values; it must have {length}", values.len()));
+    }
+    all_finite(path, values.iter().copied())
+}
+
+pub(crate) fn check_relative(file: &RelativeFile, phases: usize) -> Result<(), ModelError> {
+    has_length("relative.baseline_mean", &file.baseline_mean, phases)?;
+    has_length("relative.baseline_scale", &file.baseline_scale, phases)?;
+    for (index, scale) in file.baseline_scale.iter().enumerate() {
+        within(&format!("relative.baseline_scale[{index}]"), *scale, 1e-9, 1e3)?;
+    }
+    within("relative.offset_m2", file.offset_m2, 1e-15, 1.0)?;
+    for (name, view, knows_load) in [("command", &file.command, false), ("load", &file.load, true)] {
+        let path = |key: &str| format!("relative.{name}.{key}");
+        has_length(&path("response"), &view.response, Inputs::terms(phases, knows_load))?;
+        check_calibration(&view.calibration, &path("calibration"))?;
+        within(&path("reference_m2"), view.reference_m2, 0.0, 1.0)?;
+    }
+    if file.trees.is_empty() {
+        return refuse("relative.trees", "is empty");
+    }
+    for (index, tree) in file.trees.iter().enumerate() {
+        check_tree(tree, Inputs::tree_inputs(phases), &format!("relative.trees[{index}]"))?;
+    }
+    if file.novelty.is_empty() {
+        return refuse("relative.novelty", "is empty");
+    }
+    let mut before = f64::NEG_INFINITY;
+    for (index, range) in file.novelty.iter().enumerate() {
+        let path = |key: &str| format!("relative.novelty[{index}].{key}");
+        if !range.from_y.is_finite() || range.from_y <= before {
+            return refuse(path("from_y"), format!("is {}; it must ascend", range.from_y));
+        }
+        before = range.from_y;
+        has_length(&path("mean"), &range.mean, phases)?;
+        has_length(&path("whitening"), &range.whitening, phases * (phases + 1) / 2)?;
+        within(&path("limit"), range.limit, 1e-6, 1e9)?;
+    }
+    within("relative.largest_load_change", file.largest_load_change, 1e-6, 1e6)?;
+    within("relative.detection.threshold", file.detection.threshold, 1.0, 1e3)?;
+    within(
+        "relative.detection.cycles_between_false_alarms",
+        file.detection.cycles_between_false_alarms,
+        1.0,
+        f64::MAX,
+    )?;
+    for (index, area) in file.piston_areas_m2.iter().enumerate() {
+        within(&format!("relative.piston_areas_m2[{index}]"), *area, 1e-6, 10.0)?;
     }
     Ok(())
 }

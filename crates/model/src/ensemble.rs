@@ -83,9 +83,20 @@ impl Ensemble {
         self.nodes.len()
     }
 
-    /// Estimates the target; `features` in the model's order. A missing or non-finite feature counts as 0,
-    /// which callers rule out.
+    /// Estimates the target; `features` in the model's order, `noise` the standard deviation of the command's where it is known.
+    /// A missing or non-finite feature counts as 0, which callers rule out.
+    pub fn estimate_at(&self, features: &[f64], noise: Option<f64>) -> Estimate {
+        let (mean, spread) = self.vote(features);
+        Estimate::around(mean, spread, noise, self.transform, &self.calibration)
+    }
+
+    /// The same for a command whose noise is not known.
     pub fn estimate(&self, features: &[f64]) -> Estimate {
+        self.estimate_at(features, None)
+    }
+
+    /// Mean and standard deviation of the trees, in the transformed target.
+    pub fn vote(&self, features: &[f64]) -> (f64, f64) {
         let (mut sum, mut squares) = (0.0, 0.0);
         let mut pivot = None;
         for trees in self.roots.chunks(ABREAST) {
@@ -112,7 +123,7 @@ impl Ensemble {
         let n = self.roots.len() as f64;
         let mean = sum / n;
         let variance = (squares / n - mean * mean).max(0.0);
-        self.with_interval(pivot.unwrap_or(0.0) + mean, libm::sqrt(variance))
+        (pivot.unwrap_or(0.0) + mean, libm::sqrt(variance))
     }
 
     #[inline(always)]
@@ -121,27 +132,54 @@ impl Ensemble {
         let feature = features.get(usize::from(node.feature)).copied().unwrap_or(0.0);
         if feature <= node.value { at + u32::from(node.left_step) } else { node.right }
     }
+}
 
+impl Estimate {
     /// The estimate for a transformed prediction and its spread over the trees.
-    pub fn with_interval(&self, transformed: f64, spread: f64) -> Estimate {
-        let half = self.factor(transformed) * (spread + self.calibration.spread_floor);
-        let back = |y: f64| self.transform.back(y).max(0.0);
-        Estimate {
-            value: back(transformed),
-            spread,
-            interval: [back(transformed - half), back(transformed + half)],
-            transformed,
-        }
+    pub fn around(
+        transformed: f64,
+        spread: f64,
+        noise: Option<f64>,
+        transform: Transform,
+        calibration: &Calibration,
+    ) -> Self {
+        let half = calibration.factor(transformed, noise) * (spread + calibration.spread_floor);
+        let back = |y: f64| transform.back(y).max(0.0);
+        let value = back(transformed);
+        let lower = if value <= calibration.healthy_limit { 0.0 } else { back(transformed - half) };
+        Estimate { value, spread, interval: [lower, back(transformed + half)], transformed }
     }
+}
 
-    fn factor(&self, transformed: f64) -> f64 {
-        let factors = &self.calibration.factors;
-        let after = factors.partition_point(|(y, _)| *y <= transformed);
-        match (after.checked_sub(1).and_then(|before| factors.get(before)), factors.get(after)) {
-            (Some((y_a, a)), Some((y_b, b))) => a + (b - a) * (transformed - y_a) / (y_b - y_a),
-            (Some((_, only)), None) | (None, Some((_, only))) => *only,
-            (None, None) => 0.0,
-        }
+impl Calibration {
+    /// What the spread is multiplied with.
+    fn factor(&self, transformed: f64, noise: Option<f64>) -> f64 {
+        let Some(noise) = noise.filter(|_| !self.by_noise.is_empty()) else {
+            return linear(&self.factors, transformed);
+        };
+        let after = self.by_noise.partition_point(|(level, _)| *level <= noise);
+        let at = |index: usize| {
+            self.by_noise.get(index).map(|(level, factors)| (libm::log(*level), linear(factors, transformed)))
+        };
+        between(after.checked_sub(1).and_then(at), at(after), libm::log(noise))
+    }
+}
+
+/// Linear between points that ascend in x, constant beyond them.
+fn linear(points: &[(f64, f64)], x: f64) -> f64 {
+    let after = points.partition_point(|(at, _)| *at <= x);
+    between(
+        after.checked_sub(1).and_then(|before| points.get(before)).copied(),
+        points.get(after).copied(),
+        x,
+    )
+}
+
+fn between(before: Option<(f64, f64)>, after: Option<(f64, f64)>, x: f64) -> f64 {
+    match (before, after) {
+        (Some((x_a, a)), Some((x_b, b))) => a + (b - a) * (x - x_a) / (x_b - x_a),
+        (Some((_, only)), None) | (None, Some((_, only))) => only,
+        (None, None) => 0.0,
     }
 }
 

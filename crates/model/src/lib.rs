@@ -10,9 +10,11 @@ extern crate alloc;
 pub mod check;
 pub mod ensemble;
 pub mod model;
+pub mod relative;
 pub mod schema;
 
 pub use check::ModelError;
 pub use ensemble::{Ensemble, Estimate};
 pub use model::Model;
+pub use relative::{Comparison, Relative, RelativeEstimate};
 pub use schema::ModelFile;

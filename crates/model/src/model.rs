@@ -4,10 +4,11 @@ use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
 
-use seepd_features::{CycleReader, Feature, Kalman, Phase, Projection};
+use seepd_features::{CycleReader, Feature, Kalman, Phase, PistonAreas, Projection};
 
 use crate::check::{self, ModelError};
 use crate::ensemble::{Ensemble, Estimate};
+use crate::relative::Relative;
 use crate::schema::{Filter, Golden, ModelFile};
 
 /// Relative difference that a golden output may show: the platforms' arithmetic is the same, text is not kept
@@ -21,6 +22,7 @@ pub struct Model {
     features: Vec<Feature>,
     phases: Vec<Phase>,
     ensemble: Ensemble,
+    relative: Option<Relative>,
 }
 
 impl Model {
@@ -42,10 +44,11 @@ impl Model {
         let features = file.features.iter().filter_map(|name| check::feature(&file, name)).collect();
         let phases = file.cycle.phase_list();
         let ensemble = Ensemble::from_checked(&file.trees, file.transform, file.calibration.clone());
-        let mut model = Model { file, features, phases, ensemble };
+        let mut model = Model { file, features, phases, ensemble, relative: None };
         model.check_golden()?;
         // The trees live on in the ensemble.
         model.file.trees = Vec::new();
+        model.relative = model.file.relative.take().map(Relative::from_checked).transpose()?;
         Ok(model)
     }
 
@@ -66,21 +69,11 @@ impl Model {
             ));
         }
         let given = self.estimate(&golden.features);
-        let pairs = [
+        agree([
             (golden.estimate, given.value),
             (golden.interval[0], given.interval[0]),
             (golden.interval[1], given.interval[1]),
-        ];
-        for (expected, given) in pairs {
-            let scale = libm::fabs(expected).max(1e-12);
-            let agrees = libm::fabs(expected - given) <= GOLDEN_TOLERANCE * scale;
-            if !agrees {
-                return Err(format!(
-                    "expects {expected:e}, the model gives {given:e}: the file was altered or is damaged"
-                ));
-            }
-        }
-        Ok(())
+        ])
     }
 
     /// The file without its trees.
@@ -103,6 +96,16 @@ impl Model {
         self.ensemble.estimate(features)
     }
 
+    /// The same with an interval for a command with that standard deviation of noise.
+    pub fn estimate_at(&self, features: &[f64], noise: f64) -> Estimate {
+        self.ensemble.estimate_at(features, Some(noise))
+    }
+
+    /// Estimates relative to a baseline, if the model has them.
+    pub fn relative(&self) -> Option<&Relative> {
+        self.relative.as_ref()
+    }
+
     /// Flow of a leak of that area at a pressure difference, m³/s: `C_d A √(2 Δp / ρ)`, the orifice alone.
     pub fn leak_flow_m3_per_s(&self, area_m2: f64, pressure_difference_pa: f64) -> f64 {
         let orifice = &self.file.orifice;
@@ -123,10 +126,28 @@ impl Model {
     /// The configuration that reads cycles for this model; `projections` from [`Model::projections`].
     pub fn reader<'m>(&'m self, projections: &'m [Projection<'m>]) -> CycleReader<'m> {
         let definition = self.file.cycle.definition(self.file.sample_rate_hz, &self.phases, projections);
-        CycleReader::new(self.filter(), definition, &self.features)
+        let areas = self.relative.as_ref().map(|relative| {
+            let [cap_m2, annulus_m2] = relative.file().piston_areas_m2;
+            PistonAreas { cap_m2, annulus_m2 }
+        });
+        CycleReader::new(self.filter(), definition, &self.features).with_piston_areas(areas)
     }
 
     fn filter(&self) -> Option<Kalman> {
         self.file.filter.as_ref().map(|Filter::Kalman(kalman)| *kalman)
     }
+}
+
+/// Whether outputs are as the file expects them.
+pub(crate) fn agree(pairs: impl IntoIterator<Item = (f64, f64)>) -> Result<(), String> {
+    for (expected, given) in pairs {
+        let scale = libm::fabs(expected).max(1e-12);
+        let agrees = libm::fabs(expected - given) <= GOLDEN_TOLERANCE * scale;
+        if !agrees {
+            return Err(format!(
+                "expects {expected:e}, the model gives {given:e}: the file was altered or is damaged"
+            ));
+        }
+    }
+    Ok(())
 }

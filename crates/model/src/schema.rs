@@ -45,6 +45,9 @@ pub struct ModelFile {
     pub plant_sha256: String,
     /// Inputs with the outputs that the model must give for them.
     pub golden: Vec<Golden>,
+    /// Estimates relative to a baseline; absent: none.
+    #[serde(default)]
+    pub relative: Option<RelativeFile>,
     /// What the training measured, for people.
     #[serde(default)]
     pub training: Option<Training>,
@@ -218,8 +221,103 @@ pub struct Calibration {
     pub level: f64,
     /// Added to the spread.
     pub spread_floor: f64,
-    /// Prediction y and factor there, ascending in y; linear between.
+    /// Prediction y and factor there, ascending in y; linear between. Where the noise is not known.
     pub factors: Vec<(f64, f64)>,
+    /// The same for standard deviations of the command's noise, ascending; linear between in the noise's logarithm.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub by_noise: Vec<(f64, Vec<(f64, f64)>)>,
+    /// Largest estimate that a machine without a leak gives, in the target's unit: the interval of anything up to it begins at 0.
+    #[serde(default)]
+    pub healthy_limit: f64,
+}
+
+/// How a leak is estimated relative to the healthy machine's own baseline: from the change of each phase's mean command.
+///
+/// With the changes δ, the baseline's means standardised as b, and where known the load's relative change as one more δ, the
+/// *response* is the polynomial `Σ c δ_i + Σ c δ_i δ_j (i ≤ j) + Σ c δ_i b_j`, in m² of leak area, coefficients in this order. It may be
+/// negative. The trees, over b, δ (without the load) and `ln(response + offset)`, correct the latter.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RelativeFile {
+    /// Mean of each phase's mean command over healthy machines, in the phases' order.
+    pub baseline_mean: Vec<f64>,
+    /// Their standard deviation.
+    pub baseline_scale: Vec<f64>,
+    /// Offset of the logarithm, m².
+    pub offset_m2: f64,
+    /// With the command alone.
+    pub command: ViewFile,
+    /// With the command and the load.
+    pub load: ViewFile,
+    /// The trees.
+    pub trees: Vec<Tree>,
+    /// What changes look like, by range of the estimate, ascending.
+    pub novelty: Vec<NoveltyFile>,
+    /// Largest relative change of the load that is like training.
+    pub largest_load_change: f64,
+    /// Where the change counts as a leak, by a cumulative sum over cycles.
+    pub detection: DetectionFile,
+    /// The piston's areas, for a load from the chambers' pressures: cap side and annulus, m².
+    pub piston_areas_m2: [f64; 2],
+    /// Inputs with the outputs that must come out.
+    pub golden: Vec<RelativeGolden>,
+}
+
+/// The estimate from certain signals.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ViewFile {
+    /// Coefficients of the response, m².
+    pub response: Vec<f64>,
+    /// Interval around the estimate.
+    pub calibration: Calibration,
+    /// Largest response that load, oil and supply give a healthy machine for long, m².
+    pub reference_m2: f64,
+}
+
+/// What changes look like where the trees' estimate y is at least `from_y`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NoveltyFile {
+    /// Least transformed estimate.
+    pub from_y: f64,
+    /// Mean change by phase.
+    pub mean: Vec<f64>,
+    /// Inverse of the changes' covariance's Cholesky factor, rows one after the other, each up to its diagonal.
+    pub whitening: Vec<f64>,
+    /// Largest distance (root mean square of the whitened change) that is still like training.
+    pub limit: f64,
+}
+
+/// The cumulative sum: `S = max(0, S + (response − reference)/σ − 0.5)`, σ the baseline's own standard deviation of the response.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DetectionFile {
+    /// Value of the sum at which a change is told.
+    pub threshold: f64,
+    /// Cycles between two false alarms, on average, of a healthy machine at the worst of its conditions.
+    pub cycles_between_false_alarms: f64,
+}
+
+/// An input of the relative estimate with its output.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RelativeGolden {
+    /// The baseline's mean command by phase.
+    pub baseline: Vec<f64>,
+    /// The cycle's mean command by phase.
+    pub present: Vec<f64>,
+    /// The load over the baseline's, less 1.
+    #[serde(default)]
+    pub load_change: Option<f64>,
+    /// Standard deviation of the command's noise.
+    pub noise: f64,
+    /// Estimate, m².
+    pub estimate: f64,
+    /// Interval's ends, m².
+    pub interval: [f64; 2],
+    /// Response, m².
+    pub response: f64,
 }
 
 /// How an area becomes a flow: `C_d A √(2 Δp / ρ)`.

@@ -15,8 +15,10 @@ pub mod effects;
 pub mod electric;
 pub mod machine;
 pub mod noise;
+pub mod oil;
 pub mod plant;
 pub mod real;
+pub mod series;
 pub mod simd;
 pub mod spec;
 

@@ -4,10 +4,10 @@ use seepd_features::statistics::CycleStatistics;
 use seepd_features::{CycleDefinition, CycleReader, CycleState, Kalman, Outcome, Phase, Projection};
 use seepd_model::schema::Cycle;
 use seepd_signals::Sample;
-use seepd_sim::MachineSpec;
 use seepd_sim::batch::{self, Job};
 use seepd_sim::cycle::Turn;
 use seepd_sim::noise::Noise;
+use seepd_sim::{MachineSpec, series};
 
 /// How simulated machines differ from the plan.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,26 +25,6 @@ impl Default for Spread {
         Spread { parameters: 0.05, load: 0.05, period: 0.03 }
     }
 }
-
-/// The parameters that differ from one machine of a series to the next. Areas and stroke are machined, density
-/// and discharge coefficient go with the oil and the orifice, whose product the leak area stands for.
-const VARIED: [&str; 15] = [
-    "bulk_modulus_pa",
-    "pump_flow_m3_per_s",
-    "supply_volume_m3",
-    "inlet_volume_m3",
-    "relief_pressure_pa",
-    "relief_resistance_pa_s_per_m3",
-    "return_pressure_pa",
-    "line_m3_per_s_sqrt_pa",
-    "valve_m3_per_s_sqrt_pa",
-    "cap_dead_volume_m3",
-    "rod_dead_volume_m3",
-    "mass_kg",
-    "viscous_friction_n_s_per_m",
-    "seal_resistance_pa_s_per_m3",
-    "valve_rod_resistance_pa_s_per_m3",
-];
 
 /// A machine with its leak.
 #[derive(Debug, Clone)]
@@ -78,12 +58,7 @@ pub fn draw(spec: &MachineSpec, spread: Spread, count: usize, seed: u64, purpose
         .map(|index| {
             let stream = purpose.wrapping_mul(1 << 32) + index as u64;
             let mut noise = Noise::new(seed, stream);
-            let mut varied = spec.clone();
-            for name in VARIED {
-                if let Some(value) = varied.plant.get_mut(name) {
-                    *value *= noise.factor(spread.parameters);
-                }
-            }
+            let varied = series::vary(spec, spread.parameters, &mut noise);
             let load_factor = noise.factor(spread.load);
             let stretch = noise.factor(spread.period);
             let rank = (index as f64 + noise.uniform(0.0, 1.0)) / count as f64;
@@ -94,13 +69,18 @@ pub fn draw(spec: &MachineSpec, spread: Spread, count: usize, seed: u64, purpose
 
 /// Leak area at a rank of 0 … 1 of the distribution.
 fn leak_at(rank: f64) -> f64 {
+    leak_of(rank, SHARE_HEALTHY, SHARE_SMALL)
+}
+
+/// Leak area at a rank of 0 … 1, with these shares of machines without a leak and with one below the main range.
+pub(crate) fn leak_of(rank: f64, healthy: f64, small: f64) -> f64 {
     let log_uniform = |share: f64, low: f64, high: f64| low * libm::pow(high / low, share);
-    if rank < SHARE_HEALTHY {
+    if rank < healthy {
         0.0
-    } else if rank < SHARE_HEALTHY + SHARE_SMALL {
-        log_uniform((rank - SHARE_HEALTHY) / SHARE_SMALL, SMALLEST_LEAK_M2, LEAK_RANGE_M2.0)
+    } else if rank < healthy + small {
+        log_uniform((rank - healthy) / small, SMALLEST_LEAK_M2, LEAK_RANGE_M2.0)
     } else {
-        let share = (rank - SHARE_HEALTHY - SHARE_SMALL) / (1.0 - SHARE_HEALTHY - SHARE_SMALL);
+        let share = (rank - healthy - small) / (1.0 - healthy - small);
         log_uniform(share, LEAK_RANGE_M2.0, LEAK_RANGE_M2.1 * OVERSHOOT)
     }
 }

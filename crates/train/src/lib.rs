@@ -5,14 +5,18 @@
 //! [`search`] picks the forest's size under the file's limit; [`train`](mod@train) puts the model together and
 //! [`report`] measures it on machines that it has not seen.
 
+mod conformal;
 pub mod dataset;
 pub mod duty;
 pub mod forest;
+mod linear;
 pub mod pca;
+pub mod relative;
 pub mod report;
 pub mod search;
 pub mod train;
 
 pub use dataset::Spread;
+pub use relative::{Conditions, RelativeReport};
 pub use report::Report;
 pub use train::{Settings, TrainError, Trained, train};

@@ -90,25 +90,31 @@ type Readings = [[Option<Vec<f64>>; NOISE_LEVELS.len()]; 2];
 pub(crate) fn measure(subject: &Subject<'_>) -> Report {
     let readings: Vec<Readings> = dataset::simulate(subject.observations, |index, commands| {
         let observation = &subject.observations[index];
-        [subject.settings.filter, None]
-            .map(|filter| read_at_each_noise(subject, observation, commands, filter))
+        [subject.settings.filter, None].map(|filter| {
+            let Subject { reading, features, settings, .. } = subject;
+            read_at_each_noise(reading, features, settings, observation, commands, filter, &NOISE_LEVELS)
+        })
     });
     let by_noise: Vec<Accuracy> =
         (0..NOISE_LEVELS.len()).map(|level| accuracy(subject, &readings, level)).collect();
     Report { accuracy: by_noise[0].clone(), by_noise, noise_table: noise_table(subject, &readings) }
 }
 
-fn read_at_each_noise(
-    subject: &Subject<'_>,
+/// Features of a machine at each noise level; `None` where the cycle was not found.
+pub(crate) fn read_at_each_noise<const LEVELS: usize>(
+    reading: &Reading<'_>,
+    features: &Features<'_>,
+    settings: &Settings,
     observation: &Observation,
     commands: &[f64],
     filter: Option<Kalman>,
-) -> [Option<Vec<f64>>; NOISE_LEVELS.len()] {
-    NOISE_LEVELS.map(|sigma| {
+    levels: &[f64; LEVELS],
+) -> [Option<Vec<f64>>; LEVELS] {
+    levels.map(|sigma| {
         // The same noise at every level, scaled.
-        let mut noise: Noise = noise_of(observation, subject.settings);
-        let statistics = subject.reading.read(commands, filter, sigma, &mut noise)?;
-        Some(subject.features.of(&statistics))
+        let mut noise: Noise = noise_of(observation, settings);
+        let statistics = reading.read(commands, filter, sigma, &mut noise)?;
+        Some(features.of(&statistics))
     })
 }
 
@@ -122,7 +128,10 @@ fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accur
         .iter()
         .zip(readings)
         .filter_map(|(observation, reading)| {
-            Some((observation.leak_area_m2, subject.model.estimate(reading[0][level].as_ref()?)))
+            Some((
+                observation.leak_area_m2,
+                subject.model.estimate_at(reading[0][level].as_ref()?, NOISE_LEVELS[level]),
+            ))
         })
         .collect();
     let main: Vec<_> = estimates.iter().filter(|(truth, _)| in_main_range(*truth)).copied().collect();
@@ -130,19 +139,7 @@ fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accur
     let pairs = |map: &dyn Fn(f64) -> f64| -> Vec<(f64, f64)> {
         main.iter().map(|(truth, estimate)| (map(*truth), map(estimate.value))).collect()
     };
-    let covered = |cases: &[&(f64, seepd_model::Estimate)]| {
-        let inside =
-            cases.iter().filter(|(truth, e)| (e.interval[0]..=e.interval[1]).contains(truth)).count();
-        inside as f64 / cases.len().max(1) as f64
-    };
-    let decades = [(5e-8, 1e-7), (1e-7, 1e-6), (1e-6, 1e-5)]
-        .map(|(from_m2, to_m2)| {
-            let cases: Vec<_> = main.iter().filter(|(truth, _)| (from_m2..to_m2).contains(truth)).collect();
-            let errors =
-                cases.iter().map(|(truth, estimate)| (estimate.value - truth).abs() / truth).collect();
-            Decade { from_m2, to_m2, median_relative_error: median(errors), coverage: covered(&cases) }
-        })
-        .to_vec();
+    let decades = decades(&main);
     Accuracy {
         noise: NOISE_LEVELS[level],
         machines: estimates.len(),
@@ -155,8 +152,31 @@ fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accur
             .filter(|(truth, _)| *truth == 0.0)
             .map(|(_, e)| e.value)
             .fold(0.0, f64::max),
-        coverage: covered(&main.iter().collect::<Vec<_>>()),
+        coverage: coverage(main.iter()),
     }
+}
+
+/// Share of (truth, estimate) whose interval holds the truth.
+pub(crate) fn coverage<'e>(cases: impl Iterator<Item = &'e (f64, seepd_model::Estimate)>) -> f64 {
+    let (mut inside, mut count) = (0.0, 0.0);
+    for (truth, estimate) in cases {
+        inside += f64::from(u8::from((estimate.interval[0]..=estimate.interval[1]).contains(truth)));
+        count += 1.0;
+    }
+    inside / f64::max(count, 1.0)
+}
+
+/// Error and coverage by decade of the truth.
+pub(crate) fn decades(cases: &[(f64, seepd_model::Estimate)]) -> Vec<Decade> {
+    [(5e-8, 1e-7), (1e-7, 1e-6), (1e-6, 1e-5)]
+        .map(|(from_m2, to_m2)| {
+            let cases: Vec<_> =
+                cases.iter().filter(|(truth, _)| (from_m2..to_m2).contains(truth)).copied().collect();
+            let errors =
+                cases.iter().map(|(truth, estimate)| (estimate.value - truth).abs() / truth).collect();
+            Decade { from_m2, to_m2, median_relative_error: median(errors), coverage: coverage(cases.iter()) }
+        })
+        .to_vec()
 }
 
 fn noise_table(subject: &Subject<'_>, readings: &[Readings]) -> Vec<NoiseLine> {

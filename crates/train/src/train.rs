@@ -4,17 +4,19 @@ use rayon::prelude::*;
 use seepd_features::statistics::CycleStatistics;
 use seepd_features::{Feature, Kalman, Projection};
 use seepd_model::schema::{
-    Calibration, Cycle, Filter, Golden, ModelFile, Orifice, ProjectionFile, SCHEMA, Training, Transform,
+    Cycle, Filter, Golden, ModelFile, Orifice, ProjectionFile, SCHEMA, Training, Transform,
 };
-use seepd_model::{Model, ModelError};
+use seepd_model::{Ensemble, Model, ModelError};
 use seepd_sim::noise::Noise;
 use seepd_sim::{MachineSpec, SpecError};
 use sha2::{Digest, Sha256};
 
+use crate::conformal::{self, Prediction};
 use crate::dataset::{self, Observation, Reading, Spread};
 use crate::duty;
 use crate::forest::{Forest, Growth, Table};
 use crate::pca;
+use crate::relative::{self, Conditions, RelativeReport};
 use crate::report::{self, Report};
 use crate::search::{self, Found};
 
@@ -35,6 +37,14 @@ pub struct Settings {
     pub noise: (f64, f64),
     /// Filter.
     pub filter: Option<Kalman>,
+    /// What changes on a machine that is compared with its own baseline.
+    pub conditions: Conditions,
+    /// Machines from which that comparison is learned.
+    pub relative_machines: usize,
+    /// Machines that calibrate intervals and novelty.
+    pub calibrated_on: usize,
+    /// Machines that the comparison is measured on.
+    pub tested_on: usize,
     /// Largest size of `model.json`, bytes.
     pub most_bytes: usize,
 }
@@ -49,6 +59,10 @@ impl Default for Settings {
             spread: Spread::default(),
             noise: (0.001, 0.01),
             filter: Some(Kalman::default()),
+            conditions: Conditions::default(),
+            relative_machines: 512,
+            calibrated_on: 2048,
+            tested_on: 512,
             most_bytes: 1_000_000,
         }
     }
@@ -92,6 +106,8 @@ pub enum TrainError {
 pub enum Stage {
     /// Simulating machines.
     Simulate,
+    /// Simulating machines with their baselines.
+    Compare,
     /// Searching hyperparameters.
     Search,
     /// Measuring on machines not seen.
@@ -107,6 +123,8 @@ pub struct Trained {
     pub model: Model,
     /// What was measured.
     pub report: Report,
+    /// What was measured of estimates relative to a baseline.
+    pub relative: Option<RelativeReport>,
     /// What the search found.
     pub found: Found,
     /// What the model learned from: its features by column, and the leak areas, m².
@@ -118,6 +136,7 @@ mod purpose {
     pub(super) const TEMPLATE: u64 = 1;
     pub(super) const LEARN: u64 = 2;
     pub(super) const HELD_OUT: u64 = 3;
+    pub(super) const CALIBRATE: u64 = 4;
 }
 
 /// Machines from which templates are made.
@@ -167,7 +186,9 @@ pub fn train(
         },
     )?;
     let forest = Forest::grow(&table, found.growth, settings.seed);
-    let calibration = calibrate(&forest, &table.target);
+    let calibration = calibrate(spec, settings, &reading, &features, &forest, transform);
+    let relative =
+        relative::learn(spec, settings, &reading, &mut |done, all| tell(Stage::Compare, done, all));
 
     let mut file = ModelFile {
         schema: SCHEMA.into(),
@@ -188,6 +209,7 @@ pub fn train(
         },
         plant_sha256: plant_sha256(spec)?,
         golden: Vec::new(),
+        relative,
         training: None,
     };
     let model = Model::from_file(file.clone()).map_err(TrainError::Model)?;
@@ -206,6 +228,10 @@ pub fn train(
         settings,
     });
     tell(Stage::Measure, 1, 1);
+    let relative = relative::measure(spec, settings, &reading, &file, &mut |done, all| {
+        tell(Stage::Measure, done, all);
+    })
+    .map_err(TrainError::Model)?;
     file.training = Some(Training {
         seed: settings.seed,
         observations: learned.len(),
@@ -223,7 +249,7 @@ pub fn train(
     let model = Model::from_json(&json).map_err(TrainError::Model)?;
     let learned =
         Table { target: learned.iter().map(|case| case.leak_area_m2).collect(), columns: table.columns };
-    Ok(Trained { json, model, report, found, learned })
+    Ok(Trained { json, model, report, relative, found, learned })
 }
 
 /// Hash by which a model names the plant file that it was trained on: SHA-256 of the file with every value
@@ -376,7 +402,7 @@ fn best_elsewhere(cycle: &[f64], template: &[f64], own: usize, least_deviation: 
 /// Closer than this share of the period a match is still the stroke's own.
 const AWAY_SHARE: f64 = 0.08;
 
-fn round_to(value: f64, digits: i32) -> f64 {
+pub(crate) fn round_to(value: f64, digits: i32) -> f64 {
     let scale = 10f64.powi(digits);
     (value * scale).round() / scale
 }
@@ -466,39 +492,45 @@ impl<'a> Features<'a> {
     }
 }
 
-/// Floor of the trees' spread: below it, agreement of the trees is luck.
-const SPREAD_FLOOR: f64 = 0.005;
-/// Level of the interval.
-const LEVEL: f64 = 0.9;
-/// Ranges of the prediction that are calibrated by themselves.
-const CALIBRATED_RANGES: usize = 12;
-
-/// Factors on the spread such that the interval holds the truth of `LEVEL` of the out-of-bag predictions, by
-/// range of the prediction (normalised conformal prediction: Johansson et al., "Regression conformal prediction
-/// with random forests", Machine Learning 97 (2014)).
-fn calibrate(forest: &Forest, target: &[f64]) -> Calibration {
-    let mut scores: Vec<(f64, f64)> = forest
-        .out_of_bag
-        .iter()
-        .zip(target)
-        .filter_map(|(vote, truth)| {
-            vote.map(|(mean, spread)| (mean, (truth - mean).abs() / (spread + SPREAD_FLOOR)))
-        })
-        .collect();
-    scores.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let size = scores.len().div_ceil(CALIBRATED_RANGES).max(1);
-    let mut factors: Vec<(f64, f64)> = Vec::new();
-    for range in scores.chunks(size) {
-        let centre = range[range.len() / 2].0;
-        let mut errors: Vec<f64> = range.iter().map(|(_, score)| *score).collect();
-        errors.sort_by(f64::total_cmp);
-        let rank = ((errors.len() + 1) as f64 * LEVEL).ceil() as usize;
-        let factor = errors[rank.clamp(1, errors.len()) - 1];
-        if factors.last().is_none_or(|last| centre > last.0 + 1e-6) {
-            factors.push((round_to(centre, 5), round_to(factor, 5)));
-        }
-    }
-    Calibration { level: LEVEL, spread_floor: SPREAD_FLOOR, factors }
+/// The intervals' calibration, on machines that were not learned from, at each level of noise.
+fn calibrate(
+    spec: &MachineSpec,
+    settings: &Settings,
+    reading: &Reading<'_>,
+    features: &Features<'_>,
+    forest: &Forest,
+    transform: Transform,
+) -> seepd_model::schema::Calibration {
+    let observations =
+        dataset::draw(spec, settings.spread, settings.calibrated_on, settings.seed, purpose::CALIBRATE);
+    let readings = dataset::simulate(&observations, |index, commands| {
+        let levels = &relative::CALIBRATED_NOISE;
+        report::read_at_each_noise(
+            reading,
+            features,
+            settings,
+            &observations[index],
+            commands,
+            settings.filter,
+            levels,
+        )
+    });
+    let uncalibrated = conformal::calibration(&[], std::iter::empty());
+    let ensemble = Ensemble::from_checked(&forest.trees, transform, uncalibrated);
+    let predict = |level: usize, is_wanted: &dyn Fn(f64) -> bool| -> Vec<Prediction> {
+        let cases = observations.iter().zip(&readings).filter(|(case, _)| is_wanted(case.leak_area_m2));
+        cases
+            .filter_map(|(case, reading)| {
+                let (mean, spread) = ensemble.vote(reading[level].as_ref()?);
+                Some(Prediction { truth: transform.forward(case.leak_area_m2), mean, spread })
+            })
+            .collect()
+    };
+    let levels = relative::CALIBRATED_NOISE.iter().enumerate();
+    let by_noise: Vec<(f64, Vec<Prediction>)> =
+        levels.map(|(level, noise)| (*noise, predict(level, &|area| area > 0.0))).collect();
+    let healthy = (0..relative::CALIBRATED_NOISE.len()).flat_map(|level| predict(level, &|area| area == 0.0));
+    conformal::calibration(&by_noise, healthy.map(|one| transform.back(one.mean).max(0.0)))
 }
 
 /// Pairs spread over the range of the target.

@@ -163,6 +163,7 @@ fn take(page: &mut DemoPage, truth: &Truth<'_>, event: &Event<'_>) {
             }
         }
         Event::Flag(flag) => page.changes.push(change(truth, flag)),
+        Event::Notice(_) => {}
     }
 }
 

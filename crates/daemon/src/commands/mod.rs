@@ -10,6 +10,7 @@ pub mod gap;
 #[cfg(feature = "live")]
 pub mod init;
 pub mod inspect;
+pub mod learn_baseline;
 pub mod replay;
 #[cfg(feature = "live")]
 pub mod run;

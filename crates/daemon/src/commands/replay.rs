@@ -7,6 +7,9 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use indicatif::ProgressBar;
 
+use seepd_model::Model;
+
+use crate::baseline::{BaselineFile, LEAST_CYCLES, MOST_CYCLES};
 use crate::cli::Outcome;
 use crate::config::{Config, Selection, load_model};
 use crate::event::{Event, Flag, Summary};
@@ -19,7 +22,7 @@ use crate::sink::html::HtmlSink;
 use crate::sink::json;
 use crate::sink::mcap::EventSink;
 use crate::sink::terminal::{self, Colour};
-use crate::source;
+use crate::source::{self, record::Clock};
 
 /// Reads logs (MCAP, CSV, candump) and tells the leak of each duty cycle, the flags and a summary.
 ///
@@ -42,6 +45,12 @@ pub struct ReplayArguments {
     /// Model instead of the configuration's or the one that the program brings
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
+    /// Baseline of the machine, from `learn-baseline`: estimates are then relative to it
+    #[arg(long, value_name = "FILE", conflicts_with = "learn_cycles")]
+    baseline: Option<PathBuf>,
+    /// Learn the baseline from the first N cycles, and compare the rest with it
+    #[arg(long, value_name = "N")]
+    learn_cycles: Option<usize>,
     /// Topic of the signals, where the log has several axes; interface in a CAN log
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
@@ -105,6 +114,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     };
     let projections = model.projections();
     let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &model, &projections));
+    commission(&mut pipeline, arguments, &config, &model)?;
     let create =
         |path: &Path| File::create(path).map(BufWriter::new).map_err(|error| Failure::writing(path, error));
     let mut files = Files::default();
@@ -151,6 +161,43 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     Ok(if arguments.fail_on_fault && fault { Outcome::Finding } else { Outcome::Good })
 }
 
+/// Takes the baseline that command line or configuration name.
+fn commission(
+    pipeline: &mut Pipeline<'_>,
+    arguments: &ReplayArguments,
+    config: &Config,
+    model: &Model,
+) -> Result<(), Failure> {
+    if let Some(cycles) = arguments.learn_cycles {
+        check_cycles("--learn-cycles", cycles)?;
+        if model.relative().is_none() {
+            let what = "the model has no estimates relative to a baseline; train it anew: seepd train";
+            return Err(Failure::new(Code::Configuration, what));
+        }
+        pipeline.learn("first cycles", cycles);
+    } else if let Some(path) = arguments.baseline.as_ref().or(config.baseline.file.as_ref()) {
+        let file = BaselineFile::read(path, model)?;
+        let Some(baseline) = file.newest() else {
+            return Err(Failure::configuration(path, "has no baseline; see seepd learn-baseline"));
+        };
+        pipeline.follow(baseline.clone());
+    }
+    Ok(())
+}
+
+/// Checks how many cycles a baseline is to have.
+///
+/// # Errors
+/// [`Failure`] that names the option.
+pub fn check_cycles(option: &str, cycles: usize) -> Result<(), Failure> {
+    if (LEAST_CYCLES..=MOST_CYCLES).contains(&cycles) {
+        return Ok(());
+    }
+    let text =
+        format!("{option} is {cycles}; a baseline has {LEAST_CYCLES} … {MOST_CYCLES} cycles, 50 are good");
+    Err(Failure::new(Code::Usage, text))
+}
+
 fn replay_logs(
     arguments: &ReplayArguments,
     config: &Config,
@@ -194,48 +241,6 @@ fn replay_logs(
     });
     bar.finish_and_clear();
     failure.map_or(Ok(notes), Err)
-}
-
-/// Puts logs one after the other whose clocks begin anew, as those of controllers do that know no date.
-#[derive(Default)]
-struct Clock {
-    read: Vec<PathBuf>,
-    newest_ns: Option<i64>,
-    /// What is added to the log's times; unknown before its first sample.
-    shift_ns: Option<i64>,
-}
-
-/// A clock that began less than this ago, ns, knows no date.
-const UNDATED_NS: i64 = 10 * 86_400_000_000_000;
-/// Pause between such a log and the one before it, ns.
-const PAUSE_NS: i64 = 1_000_000_000;
-
-impl Clock {
-    fn begin(&mut self, path: &Path) {
-        // The same file again is the same cycles again, and to be found out as such.
-        self.shift_ns = self.read.iter().any(|other| other == path).then_some(0);
-        self.read.push(path.to_owned());
-    }
-
-    fn in_one_record(&mut self, time_ns: i64) -> i64 {
-        let newest_ns = self.newest_ns;
-        let shift_ns = *self.shift_ns.get_or_insert_with(|| match newest_ns {
-            Some(newest) if time_ns <= newest && time_ns.abs() < UNDATED_NS => {
-                newest.saturating_add(PAUSE_NS).saturating_sub(time_ns)
-            }
-            _ => 0,
-        });
-        let time_ns = time_ns.saturating_add(shift_ns);
-        self.newest_ns = Some(self.newest_ns.map_or(time_ns, |newest| newest.max(time_ns)));
-        time_ns
-    }
-
-    fn note(&self, name: &str) -> Option<String> {
-        let shift_s = self.shift_ns.filter(|shift| *shift != 0)? as f64 / 1e9;
-        Some(format!(
-            "{name}: its clock begins anew; taken as following the log before it, {shift_s:.3} s later"
-        ))
-    }
 }
 
 impl Files {
@@ -310,7 +315,7 @@ impl Printer {
             // Programs read a line a cycle; the flags are in them.
             Format::Json => match event {
                 Event::Cycle(_) => json::write_event(&mut self.out, event),
-                Event::Flag(_) => Ok(()),
+                Event::Flag(_) | Event::Notice(_) => Ok(()),
             },
             Format::Lines => self.line(event),
         };

@@ -10,6 +10,7 @@ use mcap::McapError;
 use seepd_sim::cycle::Turn;
 use seepd_sim::electric::ElectricAxis;
 use seepd_sim::noise::Noise;
+use seepd_sim::oil::NOMINAL_TEMPERATURE_C;
 use seepd_sim::{Input, Machine, MachineSpec, Record, Schedule};
 use serde::Serialize;
 
@@ -58,6 +59,18 @@ pub struct SimulateArguments {
     /// Longest standstill between cycles, s; uniform from 0
     #[arg(long, default_value_t = 0.0, value_name = "S")]
     pub pause: f64,
+    /// Oil temperature, °C (ISO VG 46), at the first and the last cycle; between them it goes evenly. 45 is nominal
+    #[arg(long, value_name = "C[..C]", value_parser = parse_range)]
+    pub oil_temperature: Option<(f64, f64)>,
+    /// The supply's relief pressure goes evenly from this share below to this share above its value
+    #[arg(long, default_value_t = 0.0, value_name = "SHARE", allow_negative_numbers = true)]
+    pub supply_drift: f64,
+    /// Another machine of the series: plant parameters and load differ within ± this share, by the seed
+    #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
+    pub parameter_spread: f64,
+    /// Machine of the series; the same number is the same machine [default: the seed]
+    #[arg(long, value_name = "N")]
+    pub machine: Option<u64>,
     /// Effect beyond the nominal plant: EFFECT.PARAMETER=VALUE; may be repeated
     #[arg(long = "with", value_name = "EFFECT.PARAMETER=VALUE")]
     pub with: Vec<String>,
@@ -97,6 +110,10 @@ impl Default for SimulateArguments {
             load_variation: 0.0,
             period_variation: 0.0,
             pause: 0.0,
+            oil_temperature: None,
+            supply_drift: 0.0,
+            parameter_spread: 0.0,
+            machine: None,
             with: Vec::new(),
             plant: None,
             seed: 1,
@@ -147,8 +164,36 @@ fn machine(arguments: &SimulateArguments) -> Result<MachineSpec, Failure> {
         spec.set_effect(assignment)
             .map_err(|error| Failure::new(Code::Usage, format!("--with {assignment}: {error}")))?;
     }
-    // Effects may make the plant stiffer.
-    Ok(spec.with_stable_steps())
+    let share = check("--parameter-spread", arguments.parameter_spread, 0.0, 0.3)?;
+    if share > 0.0 {
+        let mut noise = Noise::new(arguments.machine.unwrap_or(arguments.seed), MACHINES);
+        spec = seepd_sim::series::vary(&spec, share, &mut noise);
+        spec.plant.load_scale *= noise.factor(share);
+    }
+    check("--supply-drift", arguments.supply_drift, -0.2, 0.2)?;
+    for celsius in arguments.oil_temperature.map(|(from, to)| [from, to]).into_iter().flatten() {
+        check("--oil-temperature", celsius, 10.0, 90.0)?;
+    }
+    // Effects and warm oil may make the plant stiffer.
+    let steps = [0.0, 1.0].map(|share| day(&spec, arguments, share).stable_steps());
+    spec.controller.steps_per_period = steps[0].max(steps[1]).max(spec.stable_steps());
+    Ok(spec)
+}
+
+/// Stream of the machines of a series.
+const MACHINES: u64 = 3;
+
+/// The machine at a share of the log's cycles: with that day's oil and supply.
+fn day(spec: &MachineSpec, arguments: &SimulateArguments, share: f64) -> MachineSpec {
+    let oil_c = arguments.oil_temperature.map(|(from, to)| from + share * (to - from));
+    let supply = 1.0 + arguments.supply_drift * (2.0 * share - 1.0);
+    seepd_sim::series::on_a_day(spec, oil_c.unwrap_or(NOMINAL_TEMPERATURE_C), supply)
+}
+
+fn parse_range(text: &str) -> Result<(f64, f64), String> {
+    let (from, to) = text.split_once("..").unwrap_or((text, text));
+    let number = |text: &str| text.trim().parse::<f64>().map_err(|_| format!("`{text}` is not a number"));
+    Ok((number(from)?, number(to)?))
 }
 
 fn check(name: &str, value: f64, low: f64, high: f64) -> Result<f64, Failure> {
@@ -277,8 +322,14 @@ pub fn write_log(
         .map_err(writing)?;
     write_provenance(&mut sink, arguments, spec).map_err(writing)?;
 
-    let machine = Machine::<f64>::new(&[spec]);
+    let changes = arguments.oil_temperature.is_some() || arguments.supply_drift != 0.0;
+    let at_turn = |turn: usize| {
+        let share = turn.saturating_sub(1) as f64 / turns.len().saturating_sub(2).max(1) as f64;
+        Machine::<f64>::new(&[&day(spec, arguments, share.min(1.0))])
+    };
+    let mut machine = if changes { at_turn(0) } else { Machine::<f64>::new(&[spec]) };
     let mut state = machine.start();
+    let mut turn = 0;
     let period_s = spec.controller.period_s;
     let schedule = Schedule::new(&spec.cycle, period_s, turns.to_vec());
     let warm_up = schedule.ticks_of(0);
@@ -289,6 +340,10 @@ pub fn write_log(
     let mut noise = Noise::new(arguments.seed, 2);
     let mut line = Vec::with_capacity(256);
     for (tick, instant) in (0..end).zip(schedule) {
+        if changes && instant.turn != turn {
+            turn = instant.turn;
+            machine = at_turn(turn);
+        }
         let record = machine.tick(&mut state, &Input::gather(&[instant]));
         let noisy = record.command + noise.normal(arguments.noise);
         if tick < skipped {

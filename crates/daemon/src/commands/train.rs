@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use seepd_train::relative::{RelativeAccuracy, RelativeReport};
 use seepd_train::report::{Accuracy, Report};
 use seepd_train::train::Stage;
 use seepd_train::{Settings, Spread, TrainError, Trained};
@@ -50,6 +51,15 @@ pub struct TrainArguments {
     /// Trials of the hyperparameter search
     #[arg(long, default_value_t = Settings::default().trials, value_name = "N")]
     trials: usize,
+    /// Simulated machines from which the comparison with a baseline is learned, six cycles each
+    #[arg(long, default_value_t = Settings::default().relative_machines, value_name = "N")]
+    compared: usize,
+    /// Simulated machines that calibrate intervals
+    #[arg(long, default_value_t = Settings::default().calibrated_on, value_name = "N")]
+    calibration: usize,
+    /// Measure estimates relative to a baseline on 2,048 machines instead of half of --held-out
+    #[arg(long)]
+    full: bool,
     /// Machines' parameters differ within ± this share
     #[arg(long, default_value_t = Spread::default().parameters, value_name = "SHARE")]
     parameter_spread: f64,
@@ -57,6 +67,9 @@ pub struct TrainArguments {
     #[arg(long, default_value_t = Spread::default().load, value_name = "SHARE")]
     load_spread: f64,
 }
+
+/// Machines that `--full` measures relative estimates on.
+const FULL_TEST: usize = 2048;
 
 /// Runs the command.
 ///
@@ -66,6 +79,8 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
     let limits = [
         ("--observations", arguments.observations as f64, 100.0, 1e6),
         ("--held-out", arguments.held_out as f64, 100.0, 1e6),
+        ("--compared", arguments.compared as f64, 50.0, 1e6),
+        ("--calibration", arguments.calibration as f64, 50.0, 1e6),
         ("--trials", arguments.trials as f64, 1.0, 1000.0),
         ("--parameter-spread", arguments.parameter_spread, 0.0, 0.3),
         ("--load-spread", arguments.load_spread, 0.0, 0.9),
@@ -89,6 +104,9 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
             load: arguments.load_spread,
             ..Spread::default()
         },
+        relative_machines: arguments.compared,
+        calibrated_on: arguments.calibration,
+        tested_on: if arguments.full { FULL_TEST } else { arguments.held_out / 2 },
         ..Settings::default()
     };
     let mut stage = None;
@@ -117,6 +135,7 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
             features: trained.model.feature_names(),
             out_of_bag_rms: trained.found.out_of_bag_rms,
             report: &trained.report,
+            relative: trained.relative.as_ref(),
         };
         serde_json::to_writer(&mut report, &told)
             .map_err(|error| Failure::new(Code::Internal, format!("writing the report as JSON: {error}")))?;
@@ -141,6 +160,7 @@ struct JsonReport<'a> {
     out_of_bag_rms: f64,
     #[serde(flatten)]
     report: &'a Report,
+    relative: Option<&'a RelativeReport>,
 }
 
 fn write_data(path: &Path, trained: &Trained) -> Result<(), csv::Error> {
@@ -157,6 +177,7 @@ fn write_data(path: &Path, trained: &Trained) -> Result<(), csv::Error> {
 fn name_of(stage: Stage) -> &'static str {
     match stage {
         Stage::Simulate => "simulating",
+        Stage::Compare => "comparing",
         Stage::Search => "searching",
         Stage::Measure => "measuring",
     }
@@ -192,7 +213,50 @@ fn print_report(out: &mut impl Write, arguments: &TrainArguments, trained: &Trai
         trained.found.out_of_bag_rms
     )?;
     print_accuracy(out, &trained.report)?;
-    print_noise_table(out, &trained.report)
+    print_noise_table(out, &trained.report)?;
+    trained.relative.as_ref().map_or(Ok(()), |report| print_relative(out, report))
+}
+
+fn print_relative(out: &mut impl Write, report: &RelativeReport) -> io::Result<()> {
+    writeln!(
+        out,
+        "\nRelative to the machine's own baseline, on {} cycles of machines not used for anything else \
+         (intervals calibrated on {}):",
+        report.machines, report.calibrated_on
+    )?;
+    writeln!(
+        out,
+        "{:>7} {:>5}  {:^26}  {:>8}  {:^32}  {:>11}  {:>6}",
+        "noise", "load", "median relative error", "above", "coverage of 90 %", "healthy sd", "new"
+    )?;
+    writeln!(
+        out,
+        "{:>7} {:>5}  {:>8} {:>8} {:>8}  {:>8}  {:>7} {:>8} {:>7} {:>7}  {:>11}",
+        "", "", "5e-8…", "1e-7…", "1e-6…", "1 L/min", "all", "5e-8…", "1e-7…", "1e-6…", "m²"
+    )?;
+    for (known, accuracies) in [("no", &report.command), ("yes", &report.load)] {
+        for accuracy in accuracies {
+            print_relative_line(out, known, accuracy)?;
+        }
+    }
+    Ok(())
+}
+
+fn print_relative_line(out: &mut impl Write, known: &str, accuracy: &RelativeAccuracy) -> io::Result<()> {
+    write!(out, "{:>7} {known:>5} ", accuracy.noise)?;
+    for decade in &accuracy.decades {
+        write!(out, " {:>6.2} %", 100.0 * decade.median_relative_error)?;
+    }
+    write!(
+        out,
+        "  {:>6.2} %  {:>5.1} % ",
+        100.0 * accuracy.median_error_above_1_lpm,
+        100.0 * accuracy.coverage
+    )?;
+    for decade in &accuracy.decades {
+        write!(out, " {:>5.1} %", 100.0 * decade.coverage)?;
+    }
+    writeln!(out, "  {:>11.2e}  {:>4.1} %", accuracy.healthy_deviation_m2, 100.0 * accuracy.novel)
 }
 
 fn print_accuracy(out: &mut impl Write, report: &Report) -> io::Result<()> {

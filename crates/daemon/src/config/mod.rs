@@ -12,6 +12,7 @@ use seepd_signals::Signal;
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::AlarmConfig;
+use crate::baseline::{LEAST_CYCLES, MOST_CYCLES};
 use crate::failure::{Code, Failure};
 
 pub use live::{
@@ -39,6 +40,8 @@ pub struct Config {
     pub signals: BTreeMap<Signal, SignalMapping>,
     /// Thresholds.
     pub alarm: AlarmConfig,
+    /// The machine's own baseline.
+    pub baseline: BaselineConfig,
     /// Where live samples come from.
     pub source: SourceConfig,
     /// Several axes: each with the keys above. Those at the file's top are then left out.
@@ -87,6 +90,16 @@ pub struct SignalMapping {
     pub bits: Option<BitsMapping>,
 }
 
+/// The `[baseline]` table: what estimates are relative to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
+#[serde(default, deny_unknown_fields)]
+pub struct BaselineConfig {
+    /// Baseline from `seepd learn-baseline`, relative to this file. The daemon prefers one that it has learned since.
+    pub file: Option<PathBuf>,
+    /// Cycles from which the daemon learns a baseline where there is none, 20 … 1000; 0: it learns none.
+    pub learn_cycles: usize,
+}
+
 impl Default for Config {
     fn default() -> Self {
         Config {
@@ -98,6 +111,7 @@ impl Default for Config {
             dbc: None,
             signals: BTreeMap::new(),
             alarm: AlarmConfig::default(),
+            baseline: BaselineConfig::default(),
             source: SourceConfig::default(),
             axes: Vec::new(),
             state_dir: None,
@@ -200,6 +214,12 @@ impl Config {
                 ));
             }
         }
+        let learned = self.baseline.learn_cycles;
+        if learned != 0 && !(LEAST_CYCLES..=MOST_CYCLES).contains(&learned) {
+            return Err(format!(
+                "baseline.learn_cycles is {learned}; it must be 0 or lie in {LEAST_CYCLES} … {MOST_CYCLES}"
+            ));
+        }
         self.source.check()?;
         self.alarm.check()
     }
@@ -225,6 +245,7 @@ impl Config {
         let place = |path: &mut PathBuf| *path = folder.join(&path);
         self.model.iter_mut().for_each(place);
         self.dbc.iter_mut().for_each(place);
+        self.baseline.file.iter_mut().for_each(place);
         self.state_dir.iter_mut().for_each(place);
         self.source.log.iter_mut().filter(|log| *log != Path::new("-")).for_each(place);
         if let Some(http) = &mut self.http {

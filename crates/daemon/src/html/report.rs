@@ -237,6 +237,15 @@ impl ReportPage<'_> {
                     } } }
                 } }
             }
+            @if !self.record.notices.is_empty() {
+                h3 { "Notices" }
+                div.scroll { table {
+                    thead { tr { th.number { "cycle" } th { "time" } th { "what" } } }
+                    tbody { @for (cycle, time_ns, text) in &self.record.notices { tr {
+                        td.number { (cycle) } td { (time_text(*time_ns)) } td { (text) }
+                    } } }
+                } }
+            }
         }
     }
 
@@ -313,6 +322,7 @@ fn meaning(reason: &str) -> &'static str {
         "not_a_number" => "the command was not a number",
         "out_of_range" => "the command lay outside of −1 … 1",
         "stuck" => "the command stood still while the machine had to move",
+        "unlike_baseline" => "differs from the baseline as no leak, load, oil or supply of the training does",
         "wrong_rate" => "samples came at another rate than the model's",
         _ => "",
     }

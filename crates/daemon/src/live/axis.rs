@@ -174,6 +174,9 @@ impl<'a> Desk<'a> {
                     tracing::info!(axis = flag.axis, from, to, "flag changed from {from} to {to}");
                 }
             }
+            Event::Notice(notice) => {
+                tracing::warn!(axis = notice.axis, cycle = notice.cycle, "{}", notice.text)
+            }
         }
         self.around.hub.publish_event(event);
     }

@@ -191,6 +191,8 @@ pub enum Kind {
     Cycle,
     /// A change of flag: `seepd.event/1`.
     Flag,
+    /// Something else that a person should know: `seepd.notice/1`.
+    Notice,
     /// Somebody took note: `seepd.acknowledged/1`.
     Acknowledged,
     /// A test: `seepd.test/1`.
@@ -203,6 +205,7 @@ impl Kind {
         match self {
             Kind::Cycle => "cycle",
             Kind::Flag => "flag",
+            Kind::Notice => "notice",
             Kind::Acknowledged => "acknowledged",
             Kind::Test => "test",
         }
@@ -381,6 +384,7 @@ impl Hub {
         match event {
             Event::Cycle(line) => self.publish(Kind::Cycle, line.axis, line.t_end_ns(), line),
             Event::Flag(flag) => self.publish(Kind::Flag, flag.axis, flag.t_ns, flag as &FlagEvent<'_>),
+            Event::Notice(notice) => self.publish(Kind::Notice, notice.axis, notice.t_ns, notice),
         }
     }
 

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use seepd_signals::{Sample, Signal};
 
-use crate::event::{CycleLine, Event, Flag, FlagEvent};
+use crate::event::{CycleLine, Event, Flag, FlagEvent, Notice};
 
 /// Points of a cycle's curve.
 pub const CURVE_BINS: usize = 400;
@@ -92,6 +92,8 @@ pub struct HtmlSink {
     pub points: Thinned<Point>,
     /// Flag changes.
     pub changes: Vec<Change>,
+    /// Notices: cycle, time in ns, words.
+    pub notices: Vec<(u64, i64, String)>,
     /// Rejected cycles by reason.
     pub rejected: BTreeMap<&'static str, Rejected>,
     /// Logs.
@@ -114,6 +116,7 @@ impl HtmlSink {
             recent: VecDeque::new(),
             points: Thinned::new(POINTS_KEPT),
             changes: Vec::new(),
+            notices: Vec::new(),
             rejected: BTreeMap::new(),
             logs: Vec::new(),
             cycles: 0,
@@ -158,6 +161,7 @@ impl HtmlSink {
         match event {
             Event::Cycle(line) => self.take_cycle(line),
             Event::Flag(flag) => self.take_change(flag),
+            Event::Notice(notice) => self.take_notice(notice),
         }
     }
 
@@ -203,6 +207,12 @@ impl HtmlSink {
             }
         }
         sums.into_iter().map(|(sum, count)| sum / count as f32).collect()
+    }
+
+    fn take_notice(&mut self, notice: &Notice<'_>) {
+        if self.notices.len() < CHANGES_KEPT {
+            self.notices.push((notice.cycle, notice.t_ns, notice.text.clone()));
+        }
     }
 
     fn take_change(&mut self, event: &FlagEvent<'_>) {

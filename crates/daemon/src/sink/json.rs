@@ -14,6 +14,7 @@ pub fn write_event(out: &mut impl Write, event: &Event<'_>) -> io::Result<()> {
     match event {
         Event::Cycle(line) => write_line(out, line),
         Event::Flag(flag) => write_line(out, flag),
+        Event::Notice(notice) => write_line(out, notice),
     }
 }
 

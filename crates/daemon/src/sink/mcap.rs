@@ -139,15 +139,18 @@ pub mod schema {
     pub const TRUTH: &str = r#"{"title":"seepd.Truth","type":"object","properties":{"leak_area":{"type":"number"},"leak_flow":{"type":"number"}}}"#;
     /// `/axis/leakage`.
     pub const CYCLE: &str = r#"{"title":"seepd.cycle/1","type":"object","properties":{"schema":{"const":"seepd.cycle/1"},"axis":{"type":"string"},"cycle":{"type":"integer"},"t_start_s":{"type":"number"},"t_end_s":{"type":"number"},"t_start_ns":{"type":"integer"},"leak_area_m2":{"type":["number","null"]},"leak_flow_lpm":{"type":["number","null"]},"reference_dp_pa":{"type":"number"},"flag":{"type":"string"},"reason":{"type":["string","null"]}}}"#;
+    /// `/axis/notices`.
+    pub const NOTICE: &str = r#"{"title":"seepd.notice/1","type":"object","properties":{"schema":{"const":"seepd.notice/1"},"axis":{"type":"string"},"notice":{"type":"string"},"text":{"type":"string"},"cycle":{"type":"integer"},"t_s":{"type":"number"}}}"#;
     /// `/axis/flags`.
     pub const EVENT: &str = r#"{"title":"seepd.event/1","type":"object","properties":{"schema":{"const":"seepd.event/1"},"axis":{"type":"string"},"flag_from":{"type":"string"},"flag_to":{"type":"string"},"cycle":{"type":"integer"},"t_s":{"type":"number"},"evidence":{"type":"object"}}}"#;
 }
 
-/// Writes cycles to `/axis/leakage` and changes of flag to `/axis/flags`.
+/// Writes cycles to `/axis/leakage`, changes of flag to `/axis/flags` and notices to `/axis/notices`.
 pub struct EventSink<W: Write + Seek> {
     sink: McapSink<W>,
     leakage: u16,
     flags: u16,
+    notices: u16,
     line: Vec<u8>,
 }
 
@@ -160,7 +163,8 @@ impl<W: Write + Seek> EventSink<W> {
         let mut sink = McapSink::new(out, ChunkCompression::default())?;
         let leakage = sink.add_channel("/axis/leakage", "seepd.cycle/1", schema::CYCLE)?;
         let flags = sink.add_channel("/axis/flags", "seepd.event/1", schema::EVENT)?;
-        Ok(EventSink { sink, leakage, flags, line: Vec::new() })
+        let notices = sink.add_channel("/axis/notices", "seepd.notice/1", schema::NOTICE)?;
+        Ok(EventSink { sink, leakage, flags, notices, line: Vec::new() })
     }
 
     /// Writes an event: a cycle at its end, a flag at its change.
@@ -174,6 +178,9 @@ impl<W: Write + Seek> EventSink<W> {
                 (self.leakage, line.t_end_ns(), serde_json::to_writer(&mut self.line, line))
             }
             Event::Flag(flag) => (self.flags, flag.t_ns, serde_json::to_writer(&mut self.line, flag)),
+            Event::Notice(notice) => {
+                (self.notices, notice.t_ns, serde_json::to_writer(&mut self.line, notice))
+            }
         };
         result.map_err(|error| McapError::Io(error.into()))?;
         self.sink.write(channel, time_ns, &self.line)

@@ -327,6 +327,7 @@ impl TapeFile {
         let (topic, name, schema) = match event.kind {
             Kind::Cycle => ("leakage", "seepd.cycle/1", schema::CYCLE),
             Kind::Flag => ("flags", "seepd.event/1", schema::EVENT),
+            Kind::Notice => ("notices", "seepd.notice/1", schema::NOTICE),
             Kind::Acknowledged => ("acknowledged", "seepd.acknowledged/1", schema::ANY),
             Kind::Test => ("test", "seepd.test/1", schema::ANY),
         };

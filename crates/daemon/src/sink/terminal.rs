@@ -76,6 +76,7 @@ pub fn write_event(out: &mut impl Write, event: &Event<'_>, colour: Colour) -> i
     match event {
         Event::Cycle(line) => write_cycle(out, line, colour),
         Event::Flag(flag) => write_flag(out, flag, colour),
+        Event::Notice(notice) => writeln!(out, "{:>6} {:>10.3}  {}", "▸", notice.t_s, notice.text),
     }
 }
 

@@ -11,6 +11,7 @@ pub mod kind;
 pub mod live;
 pub mod mcap;
 pub mod mcap_file;
+pub mod record;
 pub mod ros;
 #[cfg(feature = "live")]
 pub mod socketcan;

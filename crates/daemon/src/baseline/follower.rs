@@ -1,0 +1,122 @@
+//! Compares each cycle with the baseline.
+
+use seepd_features::ValidCycle;
+use seepd_features::segment::MAX_PHASES;
+use seepd_model::{Comparison, Model, Relative, RelativeEstimate};
+use serde::Serialize;
+
+use super::Baseline;
+use super::drift::{Drift, DriftLimits, Finding};
+use super::trend::{Growth, Trend};
+
+/// Least standard deviation of the response, m²: a machine without noise would count every rounding.
+const LEAST_DEVIATION_M2: f64 = 2e-10;
+
+/// What is known of a cycle's load.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LoadKnowledge {
+    /// It was measured, at the baseline too.
+    Measured,
+    /// It was not: it is seen in the command's phases, and the interval is wider.
+    Inferred,
+    /// Its signal stands still: taken as not measured.
+    Frozen,
+}
+
+/// A cycle compared with the baseline.
+#[derive(Debug, Clone, Copy)]
+pub struct Followed {
+    /// Estimate, response, contributions, novelty.
+    pub estimate: RelativeEstimate,
+    /// What is known of the load.
+    pub load: LoadKnowledge,
+    /// Load over the baseline's, less 1.
+    pub load_change: Option<f64>,
+    /// What the sums say after the cycle.
+    pub finding: Finding,
+    /// Sum for a leak, standard deviations.
+    pub sum: f64,
+    /// How the leak grows, where it does.
+    pub growth: Option<Growth>,
+}
+
+/// A machine that is followed from its baseline on.
+#[derive(Debug, Clone)]
+pub struct Follower {
+    baseline: Baseline,
+    drift: Drift,
+    trend: Trend,
+}
+
+impl Follower {
+    /// Follows from a baseline.
+    pub fn new(baseline: Baseline) -> Self {
+        Follower { baseline, drift: Drift::default(), trend: Trend::default() }
+    }
+
+    /// The baseline.
+    pub fn baseline(&self) -> &Baseline {
+        &self.baseline
+    }
+
+    /// The sums.
+    pub fn drift(&self) -> &Drift {
+        &self.drift
+    }
+
+    /// Takes the sums up where an earlier run left them.
+    pub fn restore(&mut self, drift: Drift) {
+        self.drift = drift;
+    }
+
+    /// Compares a cycle that ends at a time, s. One unlike everything that training has seen leaves sums and trend alone.
+    pub fn take(&mut self, model: &Model, cycle: &ValidCycle<'_>, end_s: f64) -> Option<Followed> {
+        let relative = model.relative()?;
+        let mut present = [0.0; MAX_PHASES];
+        for (mean, phase) in present.iter_mut().zip(&cycle.statistics.phases) {
+            *mean = phase.mean;
+        }
+        let (load, load_change) = self.load_of(cycle);
+        let estimate = relative.estimate(&Comparison {
+            baseline: &self.baseline.mean,
+            present: present.get(..relative.phases())?,
+            load_change,
+            noise: cycle.statistics.noise,
+        });
+        let is_new = estimate.novelty > 1.0;
+        if !is_new {
+            self.drift.take(estimate.response_m2, &self.limits(relative, load_change.is_some()));
+            if self.drift.cycles_since_onset() == 0 {
+                self.trend.clear();
+            } else {
+                self.trend.take(end_s, estimate.estimate.value);
+            }
+        }
+        let finding = self.drift.finding();
+        let growth = if finding == Finding::Leak { self.trend.growth() } else { None };
+        Some(Followed { estimate, load, load_change, finding, sum: self.drift.sum(), growth })
+    }
+
+    fn limits(&self, relative: &Relative, knows_load: bool) -> DriftLimits {
+        let baseline = &self.baseline;
+        let deviation_m2 = baseline
+            .load_response_deviation_m2
+            .filter(|_| knows_load)
+            .unwrap_or(baseline.response_deviation_m2)
+            .max(LEAST_DEVIATION_M2);
+        DriftLimits {
+            reference_m2: relative.view(knows_load).reference_m2,
+            deviation_m2,
+            threshold: relative.file().detection.threshold,
+        }
+    }
+
+    fn load_of(&self, cycle: &ValidCycle<'_>) -> (LoadKnowledge, Option<f64>) {
+        match (self.baseline.load_n, cycle.statistics.load) {
+            (Some(_), Some(load)) if load.is_frozen() => (LoadKnowledge::Frozen, None),
+            (Some(before_n), Some(load)) => (LoadKnowledge::Measured, Some(load.mean_n / before_n - 1.0)),
+            _ => (LoadKnowledge::Inferred, None),
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! `seepd learn-baseline`: the healthy machine as it is when it is commissioned.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use seepd_model::Model;
+
+use super::replay::check_cycles;
+use crate::baseline::{Baseline, BaselineFile, MOST_CYCLES};
+use crate::cli::Outcome;
+use crate::config::{Config, Selection, load_model};
+use crate::failure::{Code, Failure};
+use crate::pipeline::{Pipeline, PipelineConfig};
+use crate::progress::{byte_bar, warn};
+use crate::sink::terminal::print;
+use crate::source::record;
+
+/// Learns a healthy machine's baseline from its logs, for estimates relative to it.
+///
+/// A baseline cancels what stays as it was: the machine's own valve null, gain, friction and leakage past a healthy seal. It does not
+/// cancel what changes later: oil temperature, load and supply pressure are told apart by the phases, as far as training knows them.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  seepd learn-baseline --out press-1.baseline.json monday.mcap\n  \
+                        seepd replay --baseline press-1.baseline.json friday.mcap\n  \
+                        seepd learn-baseline --seal-replaced --out press-1.baseline.json tuesday.mcap")]
+pub struct LearnBaselineArguments {
+    /// Logs of the healthy machine: MCAP, CSV or candump
+    #[arg(required = true, value_name = "LOG")]
+    logs: Vec<PathBuf>,
+    /// File to write
+    #[arg(long, value_name = "FILE")]
+    out: PathBuf,
+    /// Add to the file's record: the seal has been replaced, and estimates count from here; the older baselines stay in the file
+    #[arg(long)]
+    seal_replaced: bool,
+    /// Why the baseline is learned, in a few words [default: `commissioning`, or `seal replaced`]
+    #[arg(long, value_name = "TEXT")]
+    occasion: Option<String>,
+    /// Write over a file that exists: its record is lost
+    #[arg(long, conflicts_with = "seal_replaced")]
+    force: bool,
+    /// Use the first N usable cycles only
+    #[arg(long, value_name = "N", default_value_t = MOST_CYCLES)]
+    cycles: usize,
+    /// Configuration with mapping and model
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Model instead of the configuration's or the one that the program brings
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Topic of the signals, where the log has several axes; interface in a CAN log
+    #[arg(long, value_name = "TOPIC")]
+    topic: Option<String>,
+    /// DBC file that describes a CAN log's frames
+    #[arg(long, value_name = "FILE")]
+    dbc: Option<PathBuf>,
+    /// Field, column or DBC signal (`Signal` or `Message.Signal`) of the command
+    #[arg(long, value_name = "FIELD")]
+    command: Option<String>,
+    /// Print the baseline as one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure`] for arguments, configuration, logs, or cycles that make no baseline.
+pub fn run(arguments: &LearnBaselineArguments) -> Result<Outcome, Failure> {
+    check_cycles("--cycles", arguments.cycles)?;
+    let mut config = arguments.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+    config.selection = Selection { topic: arguments.topic.clone(), command: arguments.command.clone() };
+    config.dbc = arguments.dbc.clone().or(config.dbc);
+    let model = match &arguments.model {
+        Some(path) => load_model(path)?,
+        None => config.load_model()?,
+    };
+    let mut file = record_of(arguments, &config, &model)?;
+    let usual = if arguments.seal_replaced { "seal replaced" } else { "commissioning" };
+    let occasion = arguments.occasion.as_deref().unwrap_or(usual);
+    let baseline = learn(arguments, &config, &model, occasion)?;
+    file.baselines.push(baseline);
+    let writing = |error: io::Error| Failure::writing(&arguments.out, error);
+    let text = file.to_json().map_err(io::Error::from).map_err(writing)?;
+    fs::write(&arguments.out, text).map_err(writing)?;
+    if let Some(baseline) = file.newest() {
+        tell(arguments, &model, baseline)?;
+    }
+    Ok(Outcome::Good)
+}
+
+/// The file's record so far.
+fn record_of(
+    arguments: &LearnBaselineArguments,
+    config: &Config,
+    model: &Model,
+) -> Result<BaselineFile, Failure> {
+    let path = &arguments.out;
+    match (arguments.seal_replaced, path.exists()) {
+        (true, _) => BaselineFile::read(path, model),
+        (false, true) if !arguments.force => Err(Failure::new(
+            Code::Usage,
+            format!(
+                "{}: is there already; --seal-replaced adds to its record, --force begins anew",
+                path.display()
+            ),
+        )),
+        _ => Ok(BaselineFile::new(&config.axis, model)),
+    }
+}
+
+fn learn(
+    arguments: &LearnBaselineArguments,
+    config: &Config,
+    model: &Model,
+    occasion: &str,
+) -> Result<Baseline, Failure> {
+    let projections = model.projections();
+    let mut pipeline = Pipeline::new(PipelineConfig::new(config, model, &projections));
+    pipeline.learn(occasion, arguments.cycles);
+    let sizes = arguments.logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum();
+    let bar = byte_bar(sizes, "learning");
+    let notes = record::each_sample(&arguments.logs, config, &bar, |sample| {
+        pipeline.push(sample, &mut |_| ());
+        Ok(())
+    })?;
+    pipeline.finish(&mut |_| ());
+    notes.iter().for_each(|note| warn(note));
+    match (pipeline.baseline(), pipeline.learner()) {
+        (Some(baseline), _) => Ok(baseline.clone()),
+        (None, Some(learner)) => learner.baseline(model).map_err(|message| {
+            let rejected = pipeline.summary().rejected;
+            let listed: Vec<String> =
+                rejected.iter().map(|(name, count)| format!("{count} {name}")).collect();
+            let rejected =
+                if listed.is_empty() { String::new() } else { format!(" (rejected: {})", listed.join(", ")) };
+            Failure::data(format!("no baseline: {message}{rejected}"))
+        }),
+        (None, None) => Err(Failure::data("no baseline".to_owned())),
+    }
+}
+
+fn tell(arguments: &LearnBaselineArguments, model: &Model, baseline: &Baseline) -> Result<(), Failure> {
+    baseline.remarks.iter().for_each(|remark| warn(remark));
+    let mut out = Vec::new();
+    let result = if arguments.json {
+        serde_json::to_writer(&mut out, baseline).map_err(io::Error::from).and_then(|()| writeln!(out))
+    } else {
+        describe(&mut out, &arguments.out, model, baseline)
+    };
+    result.map_err(|error| Failure::writing(Path::new("standard output"), error))?;
+    print(&out)
+}
+
+fn describe(out: &mut impl Write, path: &Path, model: &Model, baseline: &Baseline) -> io::Result<()> {
+    writeln!(
+        out,
+        "{}: baseline of {} cycles ({}), {} left out",
+        path.display(),
+        baseline.cycles,
+        baseline.occasion,
+        baseline.left_out
+    )?;
+    writeln!(
+        out,
+        "repeats within {:.1e} m² of leak (standard deviation); command noise {:.4}; load {}",
+        baseline.response_deviation_m2,
+        baseline.noise,
+        baseline.load_n.map_or("not measured".to_owned(), |load_n| format!("{load_n:.0} N on average"))
+    )?;
+    let [low, high] = baseline.absolute_interval90_m2;
+    writeln!(
+        out,
+        "the simulator-trained estimate of these cycles: {:.2e} m² ({low:.2e} … {high:.2e})",
+        baseline.absolute_leak_area_m2
+    )?;
+    for ((phase, mean), deviation) in
+        model.file().cycle.phases.iter().zip(&baseline.mean).zip(&baseline.deviation)
+    {
+        writeln!(out, "  {:<10} {mean:>9.5} ± {deviation:.5}", phase.name)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,282 @@
+//! The leak relative to a healthy machine's own baseline: what valve null, gain, friction and temperature have in common with the
+//! baseline cancels; see [`RelativeFile`] for the formulas.
+
+use alloc::format;
+use alloc::string::String;
+use alloc::vec::Vec;
+
+use seepd_features::segment::MAX_PHASES;
+
+use crate::check::ModelError;
+use crate::ensemble::{Ensemble, Estimate};
+use crate::model::agree;
+use crate::schema::{RelativeFile, RelativeGolden, Transform, ViewFile};
+
+/// Most changes that a response depends on: the phases and the load.
+pub const MAX_CHANGES: usize = MAX_PHASES + 1;
+/// Most inputs of the trees: baseline and changes by phase, and the response.
+const MAX_INPUTS: usize = 2 * MAX_PHASES + 1;
+/// A baseline further from training's than this many standard deviations counts as that far: products would run away.
+const FARTHEST_BASELINE: f64 = 4.0;
+/// A response as negative as this share of the offset counts as that: it has a logarithm.
+const LEAST_RESPONSE: f64 = 0.75;
+
+/// A cycle to be compared with its baseline.
+#[derive(Debug, Clone, Copy)]
+pub struct Comparison<'a> {
+    /// The baseline's mean command by phase.
+    pub baseline: &'a [f64],
+    /// The cycle's mean command by phase.
+    pub present: &'a [f64],
+    /// The load over the baseline's, less 1, where it is known.
+    pub load_change: Option<f64>,
+    /// Standard deviation of the command's noise.
+    pub noise: f64,
+}
+
+/// What a comparison gives.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RelativeEstimate {
+    /// Leak area, m², and its interval.
+    pub estimate: Estimate,
+    /// Response, m²: around 0 for a healthy machine, and negative as often as not.
+    pub response_m2: f64,
+    /// What each change contributes to the response, m²: phases in their order, then the load.
+    pub contributions_m2: [f64; MAX_CHANGES],
+    /// Distance from what training has seen, over its limit: above 1 the estimate is a guess.
+    pub novelty: f64,
+    /// Index of the phase with the largest share of that distance.
+    pub newest_phase: usize,
+}
+
+/// The relative estimate of a model, checked.
+#[derive(Debug, Clone)]
+pub struct Relative {
+    file: RelativeFile,
+    ensemble: Ensemble,
+}
+
+impl Relative {
+    /// Checks and takes a file.
+    ///
+    /// # Errors
+    /// [`ModelError`] as of a whole model.
+    pub fn from_file(file: RelativeFile) -> Result<Self, ModelError> {
+        crate::check::check_relative(&file, file.baseline_mean.len().min(MAX_PHASES))?;
+        Self::from_checked(file)
+    }
+
+    /// From a file whose structure has been checked.
+    pub(crate) fn from_checked(mut file: RelativeFile) -> Result<Self, ModelError> {
+        // The file's own trees keep no calibration: the views have theirs.
+        let ensemble =
+            Ensemble::from_checked(&file.trees, Transform::Identity, file.command.calibration.clone());
+        file.trees = Vec::new();
+        let relative = Relative { file, ensemble };
+        for (index, golden) in relative.file.golden.iter().enumerate() {
+            relative
+                .check_golden(golden)
+                .map_err(|message| ModelError { path: format!("relative.golden[{index}]"), message })?;
+        }
+        Ok(relative)
+    }
+
+    fn check_golden(&self, golden: &RelativeGolden) -> Result<(), String> {
+        let phases = self.phases();
+        if golden.baseline.len() != phases || golden.present.len() != phases {
+            return Err(format!("baseline and present must have {phases} values, one a phase"));
+        }
+        let given = self.estimate(&Comparison {
+            baseline: &golden.baseline,
+            present: &golden.present,
+            load_change: golden.load_change,
+            noise: golden.noise,
+        });
+        agree([
+            (golden.estimate, given.estimate.value),
+            (golden.interval[0], given.estimate.interval[0]),
+            (golden.interval[1], given.estimate.interval[1]),
+            (golden.response, given.response_m2),
+        ])
+    }
+
+    /// The file without its trees.
+    pub fn file(&self) -> &RelativeFile {
+        &self.file
+    }
+
+    /// Phases that are compared.
+    pub fn phases(&self) -> usize {
+        self.file.baseline_mean.len()
+    }
+
+    /// Number of trees.
+    pub fn trees(&self) -> usize {
+        self.ensemble.trees()
+    }
+
+    /// The view of what is known.
+    pub fn view(&self, knows_load: bool) -> &ViewFile {
+        if knows_load { &self.file.load } else { &self.file.command }
+    }
+
+    /// Compares a cycle with its baseline. Missing values count as the mean of training.
+    pub fn estimate(&self, comparison: &Comparison<'_>) -> RelativeEstimate {
+        let view = self.view(comparison.load_change.is_some());
+        let inputs = Inputs::of(&self.file, comparison);
+        let mut contributions_m2 = [0.0; MAX_CHANGES];
+        let response_m2 = inputs.response(&view.response, &mut contributions_m2);
+        let offset = self.file.offset_m2;
+        let logarithm = log_response(response_m2, offset);
+        let (correction, spread) = self.ensemble.vote(&inputs.of_trees(logarithm));
+        let estimate = Estimate::around(
+            logarithm + correction,
+            spread,
+            Some(comparison.noise),
+            Transform::LnOffset(offset),
+            &view.calibration,
+        );
+        let (novelty, newest_phase) = self.novelty(estimate.transformed, &inputs);
+        RelativeEstimate { estimate, response_m2, contributions_m2, novelty, newest_phase }
+    }
+
+    /// How far the baseline lies from training's, in standard deviations: the farthest phase.
+    pub fn baseline_distance(&self, baseline: &[f64]) -> f64 {
+        let standardised = baseline.iter().zip(&self.file.baseline_mean).zip(&self.file.baseline_scale);
+        standardised.map(|((value, mean), scale)| libm::fabs((value - mean) / scale)).fold(0.0, f64::max)
+    }
+
+    fn novelty(&self, y: f64, inputs: &Inputs) -> (f64, usize) {
+        let after = self.file.novelty.partition_point(|range| range.from_y <= y);
+        let Some(range) = self.file.novelty.get(after.saturating_sub(1)) else { return (0.0, 0) };
+        let (distance, newest) = distance(&range.mean, &range.whitening, inputs.phase_changes());
+        let load_change =
+            inputs.load_change().map_or(0.0, |change| libm::fabs(change) / self.file.largest_load_change);
+        let novelty = distance / range.limit;
+        if load_change > novelty { (load_change, inputs.phases) } else { (novelty, newest) }
+    }
+}
+
+/// Root mean square of the whitened difference from the mean, and the index of its largest part.
+pub fn distance(mean: &[f64], whitening: &[f64], changes: &[f64]) -> (f64, usize) {
+    let (mut squares, mut largest, mut newest) = (0.0, 0.0, 0);
+    let mut row = 0;
+    for i in 0..changes.len() {
+        let weights = whitening.get(row..=row + i).unwrap_or_default();
+        let whitened: f64 = weights.iter().zip(changes.iter().zip(mean)).map(|(w, (x, m))| w * (x - m)).sum();
+        let square = whitened * whitened;
+        if square > largest {
+            (largest, newest) = (square, i);
+        }
+        squares += square;
+        row += i + 1;
+    }
+    (libm::sqrt(squares / changes.len().max(1) as f64), newest)
+}
+
+/// What response and trees depend on.
+#[derive(Debug, Clone, Copy)]
+pub struct Inputs {
+    /// Phases in their order, then the load where it is known.
+    changes: [f64; MAX_CHANGES],
+    count: usize,
+    baseline: [f64; MAX_PHASES],
+    phases: usize,
+}
+
+impl Inputs {
+    /// Changes and standardised baseline of a comparison.
+    pub fn of(file: &RelativeFile, comparison: &Comparison<'_>) -> Self {
+        Self::standardised(&file.baseline_mean, &file.baseline_scale, comparison)
+    }
+
+    /// The same, where mean and standard deviation of baselines are not in a file yet.
+    pub fn standardised(mean: &[f64], scale: &[f64], comparison: &Comparison<'_>) -> Self {
+        let phases = mean.len().min(MAX_PHASES);
+        let mut inputs =
+            Inputs { changes: [0.0; MAX_CHANGES], count: phases, baseline: [0.0; MAX_PHASES], phases };
+        for index in 0..phases {
+            let (Some(before), Some(now)) = (comparison.baseline.get(index), comparison.present.get(index))
+            else {
+                continue;
+            };
+            inputs.changes[index] = now - before;
+            inputs.baseline[index] =
+                ((before - mean[index]) / scale[index]).clamp(-FARTHEST_BASELINE, FARTHEST_BASELINE);
+        }
+        if let Some(change) = comparison.load_change {
+            inputs.changes[phases] = change;
+            inputs.count = phases + 1;
+        }
+        inputs
+    }
+
+    /// Changes by phase.
+    pub fn phase_changes(&self) -> &[f64] {
+        self.changes.get(..self.phases).unwrap_or_default()
+    }
+
+    /// The load's relative change, where it is known.
+    fn load_change(&self) -> Option<f64> {
+        self.changes.get(self.phases..self.count).and_then(|load| load.first()).copied()
+    }
+
+    /// Calls `take` with each term of the response, in the order of its coefficients, and the changes that it is a product of.
+    #[inline]
+    pub fn each_term(&self, mut take: impl FnMut(f64, [usize; 2])) {
+        let changes = self.changes.get(..self.count).unwrap_or_default();
+        for (i, change) in changes.iter().enumerate() {
+            take(*change, [i, i]);
+        }
+        for (i, a) in changes.iter().enumerate() {
+            for (j, b) in changes.iter().enumerate().skip(i) {
+                take(a * b, [i, j]);
+            }
+        }
+        for (i, change) in changes.iter().enumerate() {
+            for base in self.baseline.iter().take(self.phases) {
+                take(change * base, [i, i]);
+            }
+        }
+    }
+
+    /// Terms of a response over so many phases, with the load or without.
+    pub fn terms(phases: usize, knows_load: bool) -> usize {
+        let n = phases + usize::from(knows_load);
+        n + n * (n + 1) / 2 + n * phases
+    }
+
+    /// The response, and each change's share of it: of a product of two, half each.
+    fn response(&self, coefficients: &[f64], contributions: &mut [f64; MAX_CHANGES]) -> f64 {
+        let mut coefficients = coefficients.iter();
+        let mut sum = 0.0;
+        self.each_term(|term, [i, j]| {
+            let part = coefficients.next().copied().unwrap_or(0.0) * term;
+            contributions[i] += 0.5 * part;
+            contributions[j] += 0.5 * part;
+            sum += part;
+        });
+        sum
+    }
+
+    /// Inputs of the trees: baseline and changes by phase, logarithm of the response.
+    pub fn of_trees(&self, logarithm: f64) -> [f64; MAX_INPUTS] {
+        let mut inputs = [0.0; MAX_INPUTS];
+        let n = self.phases;
+        let values = self.baseline.iter().take(n).chain(self.phase_changes()).chain([&logarithm]);
+        for (slot, value) in inputs.iter_mut().zip(values) {
+            *slot = *value;
+        }
+        inputs
+    }
+
+    /// How many inputs the trees have.
+    pub fn tree_inputs(phases: usize) -> usize {
+        2 * phases + 1
+    }
+}
+
+/// The logarithm that the trees correct.
+pub fn log_response(response_m2: f64, offset_m2: f64) -> f64 {
+    libm::log(response_m2.max(-LEAST_RESPONSE * offset_m2) + offset_m2)
+}

@@ -1,0 +1,651 @@
+//! Learns to compare a cycle with the machine's own baseline: [`RelativeFile`] says what is learned.
+//!
+//! Each machine is simulated healthy, as its baseline, and again under other loads, oil temperatures and supply pressures, with
+//! leaks and without. A baseline is the mean of [`BASELINE_CYCLES`] cycles, so that its noise is that much smaller.
+
+use seepd_features::statistics::CycleStatistics;
+use seepd_model::relative::{Comparison, Inputs, distance, log_response};
+use seepd_model::schema::{
+    DetectionFile, NoveltyFile, RelativeFile, RelativeGolden, Transform, Tree, ViewFile,
+};
+use seepd_model::{Ensemble, ModelError, ModelFile};
+use seepd_sim::noise::Noise;
+use seepd_sim::real::LANES;
+use seepd_sim::{MachineSpec, series};
+use serde::Serialize;
+
+use crate::conformal::{self, Prediction, significant};
+use crate::dataset::{self, Observation, Reading};
+use crate::forest::{Forest, Growth, Table};
+use crate::linear;
+use crate::report::{NOISE_LEVELS, median};
+use crate::train::Settings;
+
+/// Cycles that a baseline is the mean of.
+pub const BASELINE_CYCLES: usize = 50;
+
+/// What changes on a machine, and from one machine to the next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Conditions {
+    /// Plant parameters and load of a machine are drawn uniformly within ± this share.
+    pub parameters: f64,
+    /// The duty cycle's time on a machine, within ± this share.
+    pub period: f64,
+    /// Load of a cycle, within ± this share of the machine's.
+    pub load: f64,
+    /// Oil temperature of a cycle, uniform, °C.
+    pub oil_c: (f64, f64),
+    /// Supply pressure of a cycle, within ± this share of the machine's.
+    pub supply: f64,
+}
+
+impl Default for Conditions {
+    fn default() -> Self {
+        Conditions { parameters: 0.10, period: 0.03, load: 0.10, oil_c: (30.0, 60.0), supply: 0.01 }
+    }
+}
+
+impl Conditions {
+    /// A machine of the series.
+    pub fn machine(&self, spec: &MachineSpec, noise: &mut Noise) -> Observation {
+        Observation {
+            spec: series::vary(spec, self.parameters, noise),
+            load_factor: noise.factor(self.parameters),
+            stretch: noise.factor(self.period),
+            leak_area_m2: 0.0,
+            stream: 0,
+        }
+    }
+
+    /// The machine on some day: with its load over the machine's own, oil temperature and supply pressure over its own.
+    pub fn on_a_day(machine: &Observation, load: f64, oil_c: f64, supply: f64) -> Observation {
+        let mut today = machine.clone();
+        today.spec = series::on_a_day(&machine.spec, oil_c, supply);
+        today.load_factor *= load;
+        today
+    }
+}
+
+/// Random streams that share no machine with each other and with those of the absolute estimate.
+mod purpose {
+    pub(super) const LEARN: u64 = 11;
+    pub(super) const CALIBRATE: u64 = 12;
+    pub(super) const TEST: u64 = 13;
+}
+
+/// Machines to learn from, and cycles of each beside its baseline.
+const LEARNED_CYCLES: usize = 6;
+/// Cycles beside the baseline of each machine that calibrates: one machine says little of a quantile.
+const CALIBRATED_CYCLES: usize = 2;
+/// Shares of cycles without a leak and with one below the main range.
+const SHARE_HEALTHY: f64 = 0.25;
+const SHARE_SMALL: f64 = 0.25;
+/// Offset of the logarithm, m²: below it errors count absolutely.
+const OFFSET_M2: f64 = 2e-8;
+/// Regularisation of the response, over the mean square of its terms.
+const RIDGE: f64 = 1e-7;
+/// How the trees that correct the response are grown. The response leaves them little, so that small ones do.
+const GROWTH: Growth = Growth { learners: 24, least_leaf: 40, feature_share: 0.5 };
+/// Ranges of the estimate whose changes are described by themselves.
+const NOVELTY_RANGES: usize = 10;
+/// Error of the simulator, over the size of a change: a machine that differs by so much is not new.
+const MODEL_ERROR: f64 = 0.05;
+/// Room over the largest distance that was seen of a machine not learned from.
+const NOVELTY_ROOM: f64 = 1.25;
+/// Room over the largest change of load that was learned from: the response is smooth.
+const LOAD_ROOM: f64 = 2.0;
+/// Threshold of the cumulative sum, and its allowance, standard deviations.
+const THRESHOLD: f64 = 10.0;
+const ALLOWANCE: f64 = 0.5;
+/// Golden pairs in the file.
+const GOLDEN: usize = 6;
+
+/// A cycle with the machine's baseline, both at each level of noise.
+#[derive(Debug, Clone)]
+struct Pair {
+    leak_area_m2: f64,
+    load_change: f64,
+    readings: Vec<PairReading>,
+}
+
+#[derive(Debug, Clone)]
+struct PairReading {
+    noise: f64,
+    baseline: Vec<f64>,
+    present: Vec<f64>,
+}
+
+impl Pair {
+    fn comparison(&self, level: usize, knows_load: bool) -> Comparison<'_> {
+        let reading = &self.readings[level];
+        Comparison {
+            baseline: &reading.baseline,
+            present: &reading.present,
+            load_change: knows_load.then_some(self.load_change),
+            noise: reading.noise,
+        }
+    }
+}
+
+/// Levels of noise at which intervals are calibrated; between them they are interpolated.
+pub(crate) const CALIBRATED_NOISE: [f64; 3] = [NOISE_LEVELS[0], NOISE_LEVELS[1], NOISE_LEVELS[4]];
+
+/// Levels of noise at which machines are read: drawn anew for each machine, or these.
+#[derive(Debug, Clone, Copy)]
+enum Levels<'a> {
+    Drawn((f64, f64)),
+    These(&'a [f64]),
+}
+
+/// Where the conditions and the reading of cycles come from.
+struct Workshop<'a> {
+    spec: &'a MachineSpec,
+    settings: &'a Settings,
+    reading: &'a Reading<'a>,
+}
+
+impl Workshop<'_> {
+    /// Machines with so many cycles each beside the baseline. Leaks are stratified over all of them.
+    fn pairs(
+        &self,
+        machines: usize,
+        cycles: usize,
+        purpose: u64,
+        levels: Levels<'_>,
+        tell: &mut dyn FnMut(usize),
+    ) -> Vec<Pair> {
+        let conditions = &self.settings.conditions;
+        let mut pairs = Vec::with_capacity(machines * cycles);
+        let portion = 256 / (cycles + 1);
+        for from in (0..machines).step_by(portion) {
+            let many = portion.min(machines - from);
+            let mut observations = Vec::with_capacity(many * (cycles + 1));
+            let mut loads = Vec::with_capacity(many * (cycles + 1));
+            for machine in from..from + many {
+                let stream = (purpose << 32) + machine as u64;
+                let mut noise = Noise::new(self.settings.seed, stream);
+                let series = conditions.machine(self.spec, &mut noise);
+                for cycle in 0..=cycles {
+                    let oil_c = noise.uniform(conditions.oil_c.0, conditions.oil_c.1);
+                    let (load, supply, rank) = (
+                        noise.factor(conditions.load),
+                        noise.factor(conditions.supply),
+                        noise.uniform(0.0, 1.0),
+                    );
+                    // The baseline's loads average out.
+                    let (load, supply) = if cycle == 0 { (1.0, 1.0) } else { (load, supply) };
+                    let mut today = Conditions::on_a_day(&series, load, oil_c, supply);
+                    if cycle > 0 {
+                        let index = machine * cycles + cycle - 1;
+                        let rank = (index as f64 + rank) / (machines * cycles) as f64;
+                        // Neighbouring machines have leaks far apart: a portion of machines is a sample of all.
+                        let rank = (rank * SCATTER).fract();
+                        today.leak_area_m2 = dataset::leak_of(rank, SHARE_HEALTHY, SHARE_SMALL);
+                    }
+                    today.stream = stream * 64 + cycle as u64;
+                    observations.push(today);
+                    loads.push(load);
+                }
+            }
+            let read = simulate_stably(&observations, |index, observation, commands| {
+                self.read(observation, commands, index % (cycles + 1) == 0, levels)
+            });
+            for (machine, group) in read.chunks(cycles + 1).enumerate() {
+                let Some(Some(baseline)) = group.first() else { continue };
+                for (cycle, present) in group.iter().enumerate().skip(1) {
+                    let at = machine * (cycles + 1) + cycle;
+                    let Some(present) = present else { continue };
+                    pairs.push(Pair {
+                        leak_area_m2: observations[at].leak_area_m2,
+                        load_change: loads[at] - 1.0,
+                        readings: baseline
+                            .iter()
+                            .zip(present)
+                            .map(|((noise, baseline), (_, present))| PairReading {
+                                noise: *noise,
+                                baseline: baseline.clone(),
+                                present: present.clone(),
+                            })
+                            .collect(),
+                    });
+                }
+            }
+            tell(from + many);
+        }
+        pairs
+    }
+
+    /// The cycle's mean command by phase at each level of noise.
+    fn read(
+        &self,
+        observation: &Observation,
+        commands: &[f64],
+        is_baseline: bool,
+        levels: Levels<'_>,
+    ) -> Option<Vec<(f64, Vec<f64>)>> {
+        // All cycles of a machine have the same sensor.
+        let mut of_machine = Noise::new(self.settings.seed ^ 0x7365_6e73, observation.stream / 64);
+        let drawn;
+        let levels = match levels {
+            Levels::These(levels) => levels,
+            Levels::Drawn((low, high)) => {
+                drawn = [low * libm::pow(high / low, of_machine.uniform(0.0, 1.0))];
+                &drawn
+            }
+        };
+        let averaged = if is_baseline { (BASELINE_CYCLES as f64).sqrt() } else { 1.0 };
+        levels
+            .iter()
+            .map(|level| {
+                let mut noise = Noise::new(self.settings.seed ^ 0x006e_6f69_7365, observation.stream);
+                let statistics =
+                    self.reading.read(commands, self.settings.filter, level / averaged, &mut noise)?;
+                Some((*level, self.phase_means(&statistics)))
+            })
+            .collect()
+    }
+
+    fn phase_means(&self, statistics: &CycleStatistics) -> Vec<f64> {
+        statistics.phases.iter().take(self.reading.phases.len()).map(|phase| phase.mean).collect()
+    }
+}
+
+/// Simulates with as many steps as each machine needs: warm oil makes the line stiffer. Machines that run side by side in lanes take
+/// their steps together, so that those that need as many are put together.
+fn simulate_stably<R: Send>(
+    observations: &[Observation],
+    reduce: impl Fn(usize, &Observation, &[f64]) -> R + Sync,
+) -> Vec<R> {
+    let steps: Vec<usize> = observations.iter().map(|observation| observation.spec.stable_steps()).collect();
+    let mut order: Vec<usize> = (0..observations.len()).collect();
+    order.sort_by_key(|index| steps[*index]);
+    let mut ordered: Vec<Observation> = order.iter().map(|index| observations[*index].clone()).collect();
+    for (lanes, places) in ordered.chunks_mut(LANES).zip(order.chunks(LANES)) {
+        let most = places.iter().map(|index| steps[*index]).max().unwrap_or(1);
+        for observation in lanes {
+            observation.spec.controller.steps_per_period = most;
+        }
+    }
+    let results = dataset::simulate(&ordered, |place, commands| {
+        reduce(order[place], &observations[order[place]], commands)
+    });
+    let mut numbered: Vec<(usize, R)> = order.into_iter().zip(results).collect();
+    numbered.sort_by_key(|(index, _)| *index);
+    numbered.into_iter().map(|(_, result)| result).collect()
+}
+
+/// Scatters ranks: far from every simple fraction.
+const SCATTER: f64 = 610.618_033_988_75;
+
+/// What is worth knowing of relative estimates on machines not used for anything else.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RelativeReport {
+    /// Machines that were tested.
+    pub machines: usize,
+    /// Machines that calibrated the intervals.
+    pub calibrated_on: usize,
+    /// With the command alone, by noise.
+    pub command: Vec<RelativeAccuracy>,
+    /// With the load too.
+    pub load: Vec<RelativeAccuracy>,
+}
+
+/// Accuracy at one noise level.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RelativeAccuracy {
+    /// Standard deviation of the command's noise.
+    pub noise: f64,
+    /// Median relative error of areas above 1 L/min at 7 MPa.
+    pub median_error_above_1_lpm: f64,
+    /// Share of leaks in the main range whose truth lies within the 90 % interval.
+    pub coverage: f64,
+    /// The same and the median relative error for 5e-8 … 1e-7 … 1e-6 … 1e-5 m².
+    pub decades: Vec<crate::report::Decade>,
+    /// Standard deviation of the response of machines without a leak, m².
+    pub healthy_deviation_m2: f64,
+    /// Share of machines without a leak whose interval begins above 0.
+    pub healthy_above_0: f64,
+    /// Share of cycles that are taken for new.
+    pub novel: f64,
+}
+
+/// What is learned before it is calibrated.
+struct Learned {
+    baseline_mean: Vec<f64>,
+    baseline_scale: Vec<f64>,
+    /// Coefficients with the command alone, and with the load too.
+    responses: [Vec<f64>; 2],
+    trees: Vec<Tree>,
+    ensemble: Ensemble,
+}
+
+impl Learned {
+    fn from(pairs: &[Pair], seed: u64) -> Option<Self> {
+        let (baseline_mean, baseline_scale) = spread_of_baselines(pairs);
+        let mut responses = [Vec::new(), Vec::new()];
+        for (knows_load, response) in [false, true].into_iter().zip(&mut responses) {
+            *response = fit_response(pairs, &baseline_mean, &baseline_scale, knows_load)?;
+        }
+        let mut learned = Learned {
+            baseline_mean,
+            baseline_scale,
+            responses,
+            trees: Vec::new(),
+            ensemble: Ensemble::from_checked(
+                &[],
+                Transform::Identity,
+                conformal::calibration(&[], std::iter::empty()),
+            ),
+        };
+        learned.grow(pairs, seed);
+        Some(learned)
+    }
+
+    fn inputs(&self, comparison: &Comparison<'_>) -> Inputs {
+        Inputs::standardised(&self.baseline_mean, &self.baseline_scale, comparison)
+    }
+
+    fn response_m2(&self, comparison: &Comparison<'_>) -> f64 {
+        let coefficients = &self.responses[usize::from(comparison.load_change.is_some())];
+        let (mut sum, mut coefficients) = (0.0, coefficients.iter());
+        self.inputs(comparison)
+            .each_term(|term, _| sum += coefficients.next().copied().unwrap_or(0.0) * term);
+        sum
+    }
+
+    /// Trees on both views of all pairs: the correction is about the same.
+    fn grow(&mut self, pairs: &[Pair], seed: u64) {
+        let phases = self.baseline_mean.len();
+        let mut table = Table { columns: vec![Vec::new(); Inputs::tree_inputs(phases)], target: Vec::new() };
+        for knows_load in [false, true] {
+            for pair in pairs {
+                let comparison = pair.comparison(0, knows_load);
+                let logarithm = log_response(self.response_m2(&comparison), OFFSET_M2);
+                let inputs = self.inputs(&comparison).of_trees(logarithm);
+                for (column, value) in table.columns.iter_mut().zip(inputs) {
+                    column.push(value);
+                }
+                table.target.push(libm::log(pair.leak_area_m2 + OFFSET_M2) - logarithm);
+            }
+        }
+        let forest = Forest::grow(&table, GROWTH, seed);
+        self.ensemble = Ensemble::from_checked(
+            &forest.trees,
+            Transform::Identity,
+            conformal::calibration(&[], std::iter::empty()),
+        );
+        self.trees = forest.trees;
+    }
+
+    fn predict(&self, pair: &Pair, level: usize, knows_load: bool) -> Prediction {
+        let comparison = pair.comparison(level, knows_load);
+        let logarithm = log_response(self.response_m2(&comparison), OFFSET_M2);
+        let (mean, spread) = self.ensemble.vote(&self.inputs(&comparison).of_trees(logarithm));
+        let truth = libm::log(pair.leak_area_m2 + OFFSET_M2);
+        Prediction { truth, mean: logarithm + mean, spread }
+    }
+
+    /// Calibrates a view; the last of the pairs' readings is without noise.
+    fn view(&self, pairs: &[Pair], knows_load: bool) -> ViewFile {
+        let is_main = |pair: &&Pair| pair.leak_area_m2 > 0.0;
+        let by_noise: Vec<(f64, Vec<Prediction>)> = CALIBRATED_NOISE
+            .iter()
+            .enumerate()
+            .map(|(level, noise)| {
+                let leaking = pairs.iter().filter(is_main);
+                (*noise, leaking.map(|pair| self.predict(pair, level, knows_load)).collect())
+            })
+            .collect();
+        let healthy: Vec<&Pair> = pairs.iter().filter(|pair| pair.leak_area_m2 == 0.0).collect();
+        let estimates = healthy.iter().flat_map(|pair| {
+            (0..CALIBRATED_NOISE.len())
+                .map(|level| libm::exp(self.predict(pair, level, knows_load).mean) - OFFSET_M2)
+        });
+        let calibration = conformal::calibration(&by_noise, estimates);
+        let reference_m2 = healthy
+            .iter()
+            .map(|pair| self.response_m2(&pair.comparison(QUIET, knows_load)).abs())
+            .fold(0.0, f64::max);
+        let response = self.responses[usize::from(knows_load)].clone();
+        ViewFile { response, calibration, reference_m2: significant(reference_m2) }
+    }
+
+    fn novelty(&self, learned: &[Pair], others: &[Pair]) -> Option<Vec<NoveltyFile>> {
+        let phases = self.baseline_mean.len();
+        let changes = |pair: &Pair, level: usize| -> Vec<f64> {
+            let reading = &pair.readings[level];
+            reading.present.iter().zip(&reading.baseline).map(|(now, before)| now - before).collect()
+        };
+        let mut rows: Vec<(f64, Vec<f64>)> =
+            learned.iter().map(|pair| (self.predict(pair, 0, false).mean, changes(pair, 0))).collect();
+        rows.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut ranges = Vec::new();
+        for range in rows.chunks(rows.len().div_ceil(NOVELTY_RANGES).max(1)) {
+            let count = range.len() as f64;
+            let mean: Vec<f64> =
+                (0..phases).map(|i| range.iter().map(|row| row.1[i]).sum::<f64>() / count).collect();
+            let squares: Vec<f64> =
+                (0..phases).map(|i| range.iter().map(|row| row.1[i].powi(2)).sum::<f64>() / count).collect();
+            let covariance = |i: usize, j: usize| {
+                let product: f64 = range.iter().map(|row| (row.1[i] - mean[i]) * (row.1[j] - mean[j])).sum();
+                let own = if i == j { MODEL_ERROR * MODEL_ERROR * squares[i] } else { 0.0 };
+                product / count + own
+            };
+            let whitening = linear::inverse(phases, &linear::cholesky(phases, covariance)?);
+            let from_y = if ranges.is_empty() { -1e3 } else { crate::train::round_to(range[0].0, 6) };
+            ranges.push(NoveltyFile { from_y, mean, whitening, limit: 0.0 });
+        }
+        for pair in others {
+            for level in 0..CALIBRATED_NOISE.len() {
+                let y = self.predict(pair, level, false).mean;
+                let after = ranges.partition_point(|range| range.from_y <= y);
+                let range = &mut ranges[after.saturating_sub(1)];
+                let far = distance(&range.mean, &range.whitening, &changes(pair, level));
+                range.limit = range.limit.max(NOVELTY_ROOM * far.0);
+            }
+        }
+        // A range that no other machine fell into takes the widest limit.
+        let widest = ranges.iter().map(|range| range.limit).fold(0.0, f64::max);
+        for range in &mut ranges {
+            range.limit = significant(if range.limit > 0.0 { range.limit } else { widest });
+        }
+        Some(ranges)
+    }
+}
+
+/// Index of the reading without noise, after those of [`CALIBRATED_NOISE`].
+const QUIET: usize = CALIBRATED_NOISE.len();
+
+fn spread_of_baselines(pairs: &[Pair]) -> (Vec<f64>, Vec<f64>) {
+    let phases = pairs.first().map_or(0, |pair| pair.readings[0].baseline.len());
+    let count = pairs.len().max(1) as f64;
+    let mean: Vec<f64> = (0..phases)
+        .map(|i| pairs.iter().map(|pair| pair.readings[0].baseline[i]).sum::<f64>() / count)
+        .collect();
+    let scale = (0..phases)
+        .map(|i| {
+            let square: f64 = pairs.iter().map(|pair| (pair.readings[0].baseline[i] - mean[i]).powi(2)).sum();
+            (square / count).sqrt().max(1e-6)
+        })
+        .collect();
+    (mean, scale)
+}
+
+/// Ridge regression of the leak area on the response's terms; errors count relative to area + offset. `None` where the terms are not
+/// finite.
+fn fit_response(pairs: &[Pair], mean: &[f64], scale: &[f64], knows_load: bool) -> Option<Vec<f64>> {
+    let terms = Inputs::terms(mean.len(), knows_load);
+    let rows: Vec<Vec<f64>> = pairs
+        .iter()
+        .map(|pair| {
+            let mut row = Vec::with_capacity(terms);
+            Inputs::standardised(mean, scale, &pair.comparison(0, knows_load))
+                .each_term(|term, _| row.push(term));
+            row
+        })
+        .collect();
+    let size: Vec<f64> = (0..terms)
+        .map(|i| (rows.iter().map(|row| row[i] * row[i]).sum::<f64>() / rows.len() as f64).sqrt().max(1e-30))
+        .collect();
+    let mut normal = vec![0.0; terms * (terms + 1) / 2];
+    let mut right = vec![0.0; terms];
+    let mut weights = 0.0;
+    for (row, pair) in rows.iter().zip(pairs) {
+        let weight = (pair.leak_area_m2 + OFFSET_M2).powi(-2);
+        weights += weight;
+        let scaled: Vec<f64> = row.iter().zip(&size).map(|(term, size)| term / size).collect();
+        for i in 0..terms {
+            let (start, factor) = (i * (i + 1) / 2, weight * scaled[i]);
+            for (sum, value) in normal[start..].iter_mut().zip(&scaled[..=i]) {
+                *sum += factor * value;
+            }
+            right[i] += factor * pair.leak_area_m2;
+        }
+    }
+    let factor = linear::cholesky(terms, |i, j| {
+        normal[i * (i + 1) / 2 + j] + if i == j { RIDGE * weights } else { 0.0 }
+    })?;
+    let solution = linear::solve(&factor, right);
+    Some(solution.iter().zip(&size).map(|(coefficient, size)| coefficient / size).collect())
+}
+
+/// Cycles between false alarms of a one-sided cumulative sum whose input lies the allowance below 0, in standard deviations
+/// (Siegmund, "Sequential Analysis", Springer (1985), with his correction for the overshoot).
+fn cycles_between_false_alarms(threshold: f64, allowance: f64) -> f64 {
+    let height = threshold + 1.166;
+    let exponent = 2.0 * allowance * height;
+    (exponent.exp() - exponent - 1.0) / (2.0 * allowance * allowance)
+}
+
+/// Learns and calibrates; `None` where the simulated cycles were not found or carry no information. `tell` hears of the machines done and all.
+pub(crate) fn learn(
+    spec: &MachineSpec,
+    settings: &Settings,
+    reading: &Reading<'_>,
+    tell: &mut dyn FnMut(usize, usize),
+) -> Option<RelativeFile> {
+    let workshop = Workshop { spec, settings, reading };
+    let all = settings.relative_machines + settings.calibrated_on;
+    let pairs = workshop.pairs(
+        settings.relative_machines,
+        LEARNED_CYCLES,
+        purpose::LEARN,
+        Levels::Drawn(settings.noise),
+        &mut |done| tell(done, all),
+    );
+    let learned = Learned::from(&pairs, settings.seed)?;
+    let mut levels = CALIBRATED_NOISE.to_vec();
+    levels.push(0.0);
+    let others = workshop.pairs(
+        settings.calibrated_on,
+        CALIBRATED_CYCLES,
+        purpose::CALIBRATE,
+        Levels::These(&levels),
+        &mut |done| tell(settings.relative_machines + done, all),
+    );
+    let mut file = RelativeFile {
+        offset_m2: OFFSET_M2,
+        command: learned.view(&others, false),
+        load: learned.view(&others, true),
+        novelty: learned.novelty(&pairs, &others)?,
+        largest_load_change: LOAD_ROOM * settings.conditions.load.max(0.01),
+        detection: DetectionFile {
+            threshold: THRESHOLD,
+            cycles_between_false_alarms: significant(cycles_between_false_alarms(THRESHOLD, ALLOWANCE)),
+        },
+        piston_areas_m2: [spec.plant.cap_area_m2, spec.plant.annulus_area_m2],
+        baseline_mean: learned.baseline_mean,
+        baseline_scale: learned.baseline_scale,
+        trees: learned.trees,
+        golden: Vec::new(),
+    };
+    file.golden = golden(&file, &others)?;
+    Some(file)
+}
+
+fn golden(file: &RelativeFile, pairs: &[Pair]) -> Option<Vec<RelativeGolden>> {
+    let relative = seepd_model::Relative::from_file(file.clone()).ok()?;
+    let chosen = pairs.iter().step_by((pairs.len() / GOLDEN).max(1)).take(GOLDEN).enumerate();
+    let of = |(index, pair): (usize, &Pair)| {
+        let comparison = pair.comparison(index % CALIBRATED_NOISE.len(), index % 2 == 1);
+        let given = relative.estimate(&comparison);
+        RelativeGolden {
+            baseline: comparison.baseline.to_vec(),
+            present: comparison.present.to_vec(),
+            load_change: comparison.load_change,
+            noise: comparison.noise,
+            estimate: given.estimate.value,
+            interval: given.estimate.interval,
+            response: given.response_m2,
+        }
+    };
+    Some(chosen.map(of).collect())
+}
+
+/// Flow of 1 L/min at the reference pressure difference of 7 MPa as an area, m².
+fn one_lpm_m2(file: &ModelFile) -> f64 {
+    let orifice = &file.orifice;
+    1.0 / 60_000.0 / (orifice.discharge_coefficient * (2.0 * 7e6 / orifice.density_kg_per_m3).sqrt())
+}
+
+/// Measures a model's relative estimates on machines that nothing was learned from.
+///
+/// # Errors
+/// [`ModelError`] where the model's relative part is damaged.
+pub(crate) fn measure(
+    spec: &MachineSpec,
+    settings: &Settings,
+    reading: &Reading<'_>,
+    file: &ModelFile,
+    tell: &mut dyn FnMut(usize, usize),
+) -> Result<Option<RelativeReport>, ModelError> {
+    let Some(relative) = file.relative.clone() else { return Ok(None) };
+    let relative = seepd_model::Relative::from_file(relative)?;
+    let workshop = Workshop { spec, settings, reading };
+    let pairs =
+        workshop.pairs(settings.tested_on, 1, purpose::TEST, Levels::These(&NOISE_LEVELS), &mut |done| {
+            tell(done, settings.tested_on);
+        });
+    let accuracy = |knows_load: bool| -> Vec<RelativeAccuracy> {
+        (0..NOISE_LEVELS.len())
+            .map(|level| {
+                let results: Vec<_> = pairs
+                    .iter()
+                    .map(|pair| (pair.leak_area_m2, relative.estimate(&pair.comparison(level, knows_load))))
+                    .collect();
+                accuracy_of(NOISE_LEVELS[level], &results, one_lpm_m2(file))
+            })
+            .collect()
+    };
+    Ok(Some(RelativeReport {
+        machines: pairs.len(),
+        calibrated_on: settings.calibrated_on,
+        command: accuracy(false),
+        load: accuracy(true),
+    }))
+}
+
+fn accuracy_of(
+    noise: f64,
+    results: &[(f64, seepd_model::RelativeEstimate)],
+    one_lpm_m2: f64,
+) -> RelativeAccuracy {
+    let estimates: Vec<(f64, seepd_model::Estimate)> =
+        results.iter().map(|(truth, given)| (*truth, given.estimate)).collect();
+    let healthy: Vec<&seepd_model::RelativeEstimate> =
+        results.iter().filter(|(truth, _)| *truth == 0.0).map(|(_, given)| given).collect();
+    let count = healthy.len().max(1) as f64;
+    let large = estimates.iter().filter(|(truth, _)| *truth >= one_lpm_m2);
+    RelativeAccuracy {
+        noise,
+        median_error_above_1_lpm: median(large.map(|(truth, e)| (e.value - truth).abs() / truth).collect()),
+        coverage: crate::report::coverage(
+            estimates.iter().filter(|(truth, _)| *truth >= dataset::LEAK_RANGE_M2.0),
+        ),
+        decades: crate::report::decades(&estimates),
+        healthy_deviation_m2: (healthy.iter().map(|e| e.response_m2.powi(2)).sum::<f64>() / count).sqrt(),
+        healthy_above_0: healthy.iter().filter(|e| e.estimate.interval[0] > 0.0).count() as f64 / count,
+        novel: results.iter().filter(|(_, given)| given.novelty > 1.0).count() as f64
+            / results.len().max(1) as f64,
+    }
+}
