@@ -236,6 +236,7 @@ pub struct Summary {
 }
 
 /// What the pipeline says.
+#[expect(clippy::large_enum_variant, reason = "an event lives for one call and is handed on by reference")]
 #[derive(Debug, Clone)]
 pub enum Event<'a> {
     /// A cycle, with an estimate or rejected.

@@ -175,7 +175,7 @@ impl<'a> Desk<'a> {
                 }
             }
             Event::Notice(notice) => {
-                tracing::warn!(axis = notice.axis, cycle = notice.cycle, "{}", notice.text)
+                tracing::warn!(axis = notice.axis, cycle = notice.cycle, "{}", notice.text);
             }
         }
         self.around.hub.publish_event(event);

@@ -1,0 +1,247 @@
+//! Estimates relative to a machine's own baseline: what they find, what they leave alone, and what they refuse.
+//!
+//! Machines are of the series that training draws from (parameters and load ± 10 %), with other seeds. Oil, load and supply differ between
+//! the baseline and what follows.
+
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
+use rayon::prelude::*;
+use seepd::alarm::AlarmConfig;
+use seepd::baseline::{Baseline, Finding};
+use seepd::event::Event;
+use seepd::pipeline::{Pipeline, PipelineConfig};
+use seepd_model::Model;
+use seepd_signals::{Sample, Signal};
+use seepd_sim::batch::{Job, run_lanes};
+use seepd_sim::cycle::Turn;
+use seepd_sim::noise::Noise;
+use seepd_sim::real::LANES;
+use seepd_sim::{MachineSpec, series};
+
+const NOISE: f64 = 0.003;
+const BASELINE_CYCLES: usize = 50;
+
+/// A machine on a day: its oil, and its supply over its own.
+#[derive(Clone, Copy)]
+struct Day {
+    oil_c: f64,
+    supply: f64,
+    load_variation: f64,
+    leak_area_m2: f64,
+    cycles: usize,
+}
+
+/// A machine of the series: its plant, and its load over plan.
+fn machine(number: u64) -> (MachineSpec, f64) {
+    let mut noise = Noise::new(7_000 + number, 0);
+    let spec = series::vary(&MachineSpec::default(), 0.10, &mut noise);
+    (spec, noise.factor(0.10))
+}
+
+fn job(number: u64, day: &Day) -> Job {
+    let (spec, load) = machine(number);
+    let mut spec = series::on_a_day(&spec, day.oil_c, day.supply);
+    spec.controller.steps_per_period = spec.stable_steps();
+    let mut noise = Noise::new(8_000 + number, day.cycles as u64);
+    // One cycle more at either end: the first settles, the last is cut.
+    let turns = (0..day.cycles + 2)
+        .map(|_| Turn {
+            load_factor: load * noise.factor(day.load_variation),
+            ..Turn::with_leak(day.leak_area_m2)
+        })
+        .collect();
+    Job { spec, turns, skip_ticks: 10_000, record_ticks: (day.cycles as u64 * 10_000) + 1_500 }
+}
+
+/// What came of a machine's cycles.
+#[derive(Default)]
+struct Course {
+    /// Cycles until a leak was found, from 1.
+    found_after: Option<usize>,
+    cycles: usize,
+    /// Cycles that were taken for those of another machine.
+    rejected: usize,
+    estimates_m2: Vec<f64>,
+    baseline: Option<Baseline>,
+}
+
+/// Runs machines in lanes over their days; each is followed from its baseline, or learns one.
+fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool) -> Vec<Course> {
+    let (projections, alarm) = (model.projections(), AlarmConfig::default());
+    let config = PipelineConfig {
+        axis: "axis",
+        model,
+        projections: &projections,
+        alarm: &alarm,
+        reference_dp_pa: 7e6,
+    };
+    machines
+        .par_chunks(LANES)
+        .flat_map_iter(|machines| {
+            let mut jobs: Vec<Job> = machines.iter().map(|(number, day, _)| job(*number, day)).collect();
+            let steps = jobs.iter().map(|job| job.spec.controller.steps_per_period).max().unwrap_or(10);
+            jobs.iter_mut().for_each(|job| job.spec.controller.steps_per_period = steps);
+            let mut lanes: Vec<(Pipeline<'_>, Noise, i64, Course)> = machines
+                .iter()
+                .map(|(number, day, baseline)| {
+                    let mut pipeline = Pipeline::new(config);
+                    match baseline {
+                        Some(baseline) => pipeline.follow(baseline.clone()),
+                        None => pipeline.learn("test", BASELINE_CYCLES),
+                    }
+                    (pipeline, Noise::new(9_000 + number, day.cycles as u64), 0, Course::default())
+                })
+                .collect();
+            run_lanes(&jobs, |lane, record| {
+                let (pipeline, noise, time_ns, course) = &mut lanes[lane];
+                let command = (record.command.0[lane] + noise.normal(NOISE)).clamp(-1.0, 1.0);
+                let mut sample = Sample::command(*time_ns, command);
+                if with_load {
+                    sample.set(Signal::Load, record.load.0[lane]);
+                }
+                *time_ns += 1_000_000;
+                pipeline.push(&sample, &mut |event| {
+                    let Event::Cycle(line) = event else { return };
+                    course.cycles += 1;
+                    course.rejected += usize::from(line.reason == Some("unlike_baseline"));
+                    course.estimates_m2.extend(line.leak_area_m2);
+                    if line.comparison.as_ref().is_some_and(|comparison| comparison.finding == Finding::Leak)
+                    {
+                        course.found_after.get_or_insert(course.cycles);
+                    }
+                });
+            });
+            lanes.into_iter().map(|(pipeline, _, _, mut course)| {
+                course.baseline = pipeline.baseline().cloned();
+                course
+            })
+        })
+        .collect()
+}
+
+fn model() -> Model {
+    Model::from_json(seepd::EMBEDDED_MODEL).unwrap()
+}
+
+/// Machines at their baseline: oil at some temperature, load ± 5 %.
+fn baselines(model: &Model, machines: u64, with_load: bool) -> Vec<Baseline> {
+    let wanted: Vec<_> = (0..machines)
+        .map(|number| {
+            let oil_c = Noise::new(6_000, number).uniform(30.0, 60.0);
+            (
+                number,
+                Day {
+                    oil_c,
+                    supply: 1.0,
+                    load_variation: 0.05,
+                    leak_area_m2: 0.0,
+                    cycles: BASELINE_CYCLES + 1,
+                },
+                None,
+            )
+        })
+        .collect();
+    run(model, &wanted, with_load).into_iter().map(|course| course.baseline.expect("a baseline")).collect()
+}
+
+/// The same machines later, one after the other, with other oil and supply.
+fn later(
+    model: &Model,
+    baselines: &[Baseline],
+    leak_area_m2: f64,
+    (load_variation, drift, cycles, with_load): (f64, f64, usize, bool),
+) -> Vec<Course> {
+    let days: Vec<_> = baselines
+        .iter()
+        .enumerate()
+        .map(|(number, baseline)| {
+            let mut noise = Noise::new(5_000 + cycles as u64, number as u64);
+            let (oil_c, supply) = (noise.uniform(30.0, 60.0), noise.factor(drift));
+            let day = Day { oil_c, supply, load_variation, leak_area_m2, cycles };
+            (number as u64, day, Some(baseline.clone()))
+        })
+        .collect();
+    run(model, &days, with_load)
+}
+
+fn area_m2(model: &Model, flow_lpm: f64) -> f64 {
+    flow_lpm / 60_000.0 / model.leak_flow_m3_per_s(1.0, 7e6)
+}
+
+/// Share of machines whose leak is found within 30 cycles.
+fn share_found(courses: &[Course]) -> f64 {
+    courses.iter().filter(|course| course.found_after.is_some_and(|after| after <= 30)).count() as f64
+        / courses.len() as f64
+}
+
+/// The requirement, on few machines: 0.10 L/min on each within 30 cycles (12 are simulated), and no false alarm.
+#[test]
+fn a_leak_of_a_tenth_of_a_litre_is_found_and_a_healthy_machine_is_left_alone() {
+    let model = model();
+    let baselines = baselines(&model, 16, false);
+    let leaking = later(&model, &baselines, area_m2(&model, 0.10), (0.05, 0.01, 12, false));
+    assert_eq!(share_found(&leaking), 1.0);
+    let healthy = later(&model, &baselines, 0.0, (0.10, 0.01, 40, false));
+    for (number, course) in healthy.iter().enumerate() {
+        assert_eq!((course.found_after, course.rejected), (None, 0), "machine {number}");
+        assert!(course.cycles >= 39);
+    }
+}
+
+/// Leaks above 1 L/min: the median error over machines. 3 % are required; 32 machines' median is good to about 0.3 %.
+#[test]
+fn areas_are_right_within_three_percent() {
+    let model = model();
+    let baselines = baselines(&model, 32, true);
+    for (flow_lpm, with_load) in [(2.0, false), (8.0, true)] {
+        let truth_m2 = area_m2(&model, flow_lpm);
+        let mut errors: Vec<f64> = later(&model, &baselines, truth_m2, (0.10, 0.01, 2, with_load))
+            .iter()
+            .flat_map(|course| course.estimates_m2.iter().map(|estimate| (estimate / truth_m2 - 1.0).abs()))
+            .collect();
+        errors.sort_by(f64::total_cmp);
+        assert!(errors[errors.len() / 2] < 0.03, "{errors:?}");
+    }
+}
+
+/// The whole requirement, and the smallest leak that is found: prints the table of docs/ACCURACY.md. Some minutes.
+#[test]
+#[ignore = "some minutes: cargo test --release -p seepd --test trust -- --ignored --nocapture detection"]
+fn detection_limit_and_false_alarms() {
+    let model = model();
+    for with_load in [false, true] {
+        let baselines = baselines(&model, 200, with_load);
+        println!(
+            "load {}: of 200 machines, baseline of 50 cycles, load ± 5 %, noise {NOISE}",
+            if with_load { "measured" } else { "unknown" }
+        );
+        println!("{:>8} {:>9} {:>14} {:>15}", "L/min", "m²", "found in 30", "median cycles");
+        let mut smallest = f64::INFINITY;
+        for flow_lpm in [0.10, 0.07, 0.05, 0.045, 0.04, 0.035, 0.03, 0.02] {
+            let courses = later(&model, &baselines, area_m2(&model, flow_lpm), (0.05, 0.0, 31, with_load));
+            let mut delays: Vec<usize> = courses.iter().filter_map(|course| course.found_after).collect();
+            delays.sort_unstable();
+            let share = share_found(&courses);
+            println!(
+                "{flow_lpm:>8} {:>9.2e} {:>12.1} % {:>15}",
+                area_m2(&model, flow_lpm),
+                100.0 * share,
+                delays.get(delays.len() / 2).copied().unwrap_or(0)
+            );
+            if share >= 0.95 {
+                smallest = smallest.min(flow_lpm);
+            }
+        }
+        println!("smallest leak found by 95 %: {smallest} L/min");
+        let healthy = later(&model, &baselines, 0.0, (0.10, 0.01, 51, with_load));
+        let cycles: usize = healthy.iter().map(|course| course.cycles).sum();
+        let alarms = healthy.iter().filter(|course| course.found_after.is_some()).count();
+        let rejected: usize = healthy.iter().map(|course| course.rejected).sum();
+        println!(
+            "{cycles} healthy cycles, load ± 10 %, oil 30 … 60 °C, supply ± 1 %: {alarms} false alarms, {rejected} not estimated\n"
+        );
+        assert!(smallest <= 0.10);
+        assert_eq!(alarms, 0);
+        assert!(cycles >= 10_000);
+    }
+}
