@@ -370,6 +370,57 @@ fn mqtt_over_tls_with_a_password_and_a_broker_that_is_not_trusted() {
 }
 
 #[test]
+fn the_first_cycles_become_the_baseline_and_a_new_seal_begins_another() {
+    let folder = tempfile::tempdir().unwrap();
+    let (healthy, leaking) = (folder.path().join("healthy.mcap"), folder.path().join("leaking.mcap"));
+    simulate(&healthy, &["--cycles", "24", "--noise", "0.003", "--command-only", "--no-truth"]);
+    // 0.11 L/min: a third of the least threshold.
+    let leak = ["--cycles", "10", "--noise", "0.003", "--leak-area", "2e-8", "--seed", "2"];
+    simulate(&leaking, &[&leak[..], &["--command-only", "--no-truth"]].concat());
+    let of_log = |log: &Path| {
+        format!(
+            "axis = \"press-1\"\nstate_dir = \"state\"\n[baseline]\nlearn_cycles = 20\n[source]\nlog = \"{}\"\npace = \"fast\"\n",
+            log.display()
+        )
+    };
+    assert!(Daemon::start(folder.path(), &of_log(&healthy)).wait().success());
+    let record = folder.path().join("state/baseline-press-1.json");
+    let baselines = || -> serde_json::Value {
+        serde_json::from_str::<serde_json::Value>(&fs::read_to_string(&record).unwrap()).unwrap()["baselines"]
+            .clone()
+    };
+    assert_eq!((baselines().as_array().unwrap().len(), &baselines()[0]["cycles"]), (1, &20.into()));
+    assert!(Daemon::start(folder.path(), &of_log(&leaking)).wait().success());
+    let port = free_port();
+    let socket = folder.path().join("in.sock");
+    let live = format!("{}[baseline]\nlearn_cycles = 20\n", press_with_page(&socket, port));
+    let daemon = Daemon::start(folder.path(), &live);
+    until("an answer", SOON, || axis_status(port).is_some());
+    let status = axis_status(port).unwrap();
+    assert_eq!((&status["level"], &status["baseline"]["cycles"]), (&"watch".into(), &20.into()), "{status}");
+    let answer = ask(port, "POST", "/api/v1/axes/press-1/new-baseline", "").unwrap();
+    assert_eq!(answer.code, 202, "{}", answer.body);
+    assert_eq!(ask(port, "POST", "/api/v1/axes/other/new-baseline", "").unwrap().code, 404);
+    let state = folder.path().join("state/state.json");
+    until("the order on disk", SOON, || {
+        fs::read_to_string(&state).is_ok_and(|text| text.contains("\"renewing\": true"))
+    });
+    until("the new status", SOON, || {
+        axis_status(port).unwrap()["baseline"]["learning"] == serde_json::json!([0, 20])
+    });
+    drop(daemon);
+    // The order outlives the daemon; the old baseline stays in the record.
+    assert!(Daemon::start(folder.path(), &of_log(&healthy)).wait().success());
+    let occasions: Vec<_> =
+        baselines().as_array().unwrap().iter().map(|one| one["occasion"].clone()).collect();
+    assert_eq!(occasions, ["commissioning", "seal replaced"]);
+    // A damaged record is set aside, and the daemon goes on.
+    fs::write(&record, "{").unwrap();
+    assert!(Daemon::start(folder.path(), &of_log(&healthy)).wait().success());
+    assert_eq!(baselines().as_array().unwrap().len(), 1);
+}
+
+#[test]
 fn alarms_and_latches_survive_a_kill_and_the_state_of_an_older_version_is_taken_over() {
     let folder = tempfile::tempdir().unwrap();
     let log = worn_log(folder.path(), "12");

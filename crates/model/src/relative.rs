@@ -142,7 +142,8 @@ impl Relative {
 
     /// How far the baseline lies from training's, in standard deviations: the farthest phase.
     pub fn baseline_distance(&self, baseline: &[f64]) -> f64 {
-        let standardised = baseline.iter().zip(&self.file.baseline_mean).zip(&self.file.baseline_scale);
+        let centred = centred(baseline);
+        let standardised = centred.iter().zip(&self.file.baseline_mean).zip(&self.file.baseline_scale);
         standardised.map(|((value, mean), scale)| libm::fabs((value - mean) / scale)).fold(0.0, f64::max)
     }
 
@@ -174,6 +175,17 @@ pub fn distance(mean: &[f64], whitening: &[f64], changes: &[f64]) -> (f64, usize
     (libm::sqrt(squares / changes.len().max(1) as f64), newest)
 }
 
+/// A baseline less its mean over the phases: a valve that is off its null shifts all phases alike, and says nothing of how the machine
+/// answers to a leak.
+pub fn centred(baseline: &[f64]) -> [f64; MAX_PHASES] {
+    let mean = baseline.iter().sum::<f64>() / baseline.len().max(1) as f64;
+    let mut centred = [0.0; MAX_PHASES];
+    for (slot, value) in centred.iter_mut().zip(baseline) {
+        *slot = value - mean;
+    }
+    centred
+}
+
 /// What response and trees depend on.
 #[derive(Debug, Clone, Copy)]
 pub struct Inputs {
@@ -195,6 +207,7 @@ impl Inputs {
         let phases = mean.len().min(MAX_PHASES);
         let mut inputs =
             Inputs { changes: [0.0; MAX_CHANGES], count: phases, baseline: [0.0; MAX_PHASES], phases };
+        let centred = centred(comparison.baseline);
         for index in 0..phases {
             let (Some(before), Some(now)) = (comparison.baseline.get(index), comparison.present.get(index))
             else {
@@ -202,7 +215,7 @@ impl Inputs {
             };
             inputs.changes[index] = now - before;
             inputs.baseline[index] =
-                ((before - mean[index]) / scale[index]).clamp(-FARTHEST_BASELINE, FARTHEST_BASELINE);
+                ((centred[index] - mean[index]) / scale[index]).clamp(-FARTHEST_BASELINE, FARTHEST_BASELINE);
         }
         if let Some(change) = comparison.load_change {
             inputs.changes[phases] = change;

@@ -4,7 +4,7 @@
 //! leaks and without. A baseline is the mean of [`BASELINE_CYCLES`] cycles, so that its noise is that much smaller.
 
 use seepd_features::statistics::CycleStatistics;
-use seepd_model::relative::{Comparison, Inputs, distance, log_response};
+use seepd_model::relative::{Comparison, Inputs, centred, distance, log_response};
 use seepd_model::schema::{
     DetectionFile, NoveltyFile, RelativeFile, RelativeGolden, Transform, Tree, ViewFile,
 };
@@ -459,12 +459,12 @@ const QUIET: usize = CALIBRATED_NOISE.len();
 fn spread_of_baselines(pairs: &[Pair]) -> (Vec<f64>, Vec<f64>) {
     let phases = pairs.first().map_or(0, |pair| pair.readings[0].baseline.len());
     let count = pairs.len().max(1) as f64;
-    let mean: Vec<f64> = (0..phases)
-        .map(|i| pairs.iter().map(|pair| pair.readings[0].baseline[i]).sum::<f64>() / count)
-        .collect();
+    let baselines: Vec<_> = pairs.iter().map(|pair| centred(&pair.readings[0].baseline)).collect();
+    let mean: Vec<f64> =
+        (0..phases).map(|i| baselines.iter().map(|baseline| baseline[i]).sum::<f64>() / count).collect();
     let scale = (0..phases)
         .map(|i| {
-            let square: f64 = pairs.iter().map(|pair| (pair.readings[0].baseline[i] - mean[i]).powi(2)).sum();
+            let square: f64 = baselines.iter().map(|baseline| (baseline[i] - mean[i]).powi(2)).sum();
             (square / count).sqrt().max(1e-6)
         })
         .collect();

@@ -2,7 +2,7 @@
 
 use seepd_features::ValidCycle;
 use seepd_features::segment::MAX_PHASES;
-use seepd_model::{Comparison, Model, Relative, RelativeEstimate};
+use seepd_model::{Comparison, Estimate, Model, Relative, RelativeEstimate};
 use serde::Serialize;
 
 use super::Baseline;
@@ -39,6 +39,40 @@ pub struct Followed {
     pub sum: f64,
     /// How the leak grows, where it does.
     pub growth: Option<Growth>,
+}
+
+/// The estimate; where the cycle is like nothing in training, but its baseline is like a leaking machine's against this cycle, the machine
+/// leaked at its baseline, and leaks less now.
+fn compare(
+    relative: &Relative,
+    baseline: &[f64],
+    present: &[f64],
+    load_change: Option<f64>,
+    cycle: &ValidCycle<'_>,
+) -> RelativeEstimate {
+    let noise = cycle.statistics.noise;
+    let estimate = relative.estimate(&Comparison { baseline, present, load_change, noise });
+    if estimate.novelty <= 1.0 {
+        return estimate;
+    }
+    let load_before = load_change.map(|change| 1.0 / (1.0 + change) - 1.0);
+    let before = relative.estimate(&Comparison {
+        baseline: present,
+        present: baseline,
+        load_change: load_before,
+        noise,
+    });
+    if before.novelty > 1.0 || before.response_m2 <= 0.0 {
+        return estimate;
+    }
+    let healthy_limit = relative.view(load_change.is_some()).calibration.healthy_limit;
+    RelativeEstimate {
+        estimate: Estimate { value: 0.0, interval: [0.0, healthy_limit], ..estimate.estimate },
+        response_m2: -before.response_m2,
+        contributions_m2: before.contributions_m2.map(|part| -part),
+        novelty: before.novelty,
+        newest_phase: before.newest_phase,
+    }
 }
 
 /// A machine that is followed from its baseline on.
@@ -78,12 +112,8 @@ impl Follower {
             *mean = phase.mean;
         }
         let (load, load_change) = self.load_of(cycle);
-        let estimate = relative.estimate(&Comparison {
-            baseline: &self.baseline.mean,
-            present: present.get(..relative.phases())?,
-            load_change,
-            noise: cycle.statistics.noise,
-        });
+        let estimate =
+            compare(relative, &self.baseline.mean, present.get(..relative.phases())?, load_change, cycle);
         let is_new = estimate.novelty > 1.0;
         if !is_new {
             self.drift.take(estimate.response_m2, &self.limits(relative, load_change.is_some()));

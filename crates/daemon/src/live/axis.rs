@@ -1,6 +1,7 @@
 //! An axis at work: its source, its pipeline, its alarm; tells the hub.
 
 use std::collections::VecDeque;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -9,12 +10,15 @@ use seepd_signals::{Sample, Signal};
 use tokio::sync::{mpsc, watch};
 
 use super::clock::Clock;
-use super::hub::{AxisStatus, Course, Hub, LIVE_POINTS, Order, TrendPoint};
+use super::commission::Record;
+use super::hub::{AxisStatus, BaselineStatus, Course, Hub, LIVE_POINTS, Order, TrendPoint};
 use super::state::{AxisState, Keeper, LastEstimate};
 use super::systemd::ENDED;
 use crate::alarm::{Alarm, AlarmState, Latch};
+use crate::baseline::Finding;
+use crate::baseline::trend::TimeTo;
 use crate::config::{Config, Pace};
-use crate::event::{CycleLine, Event, Flag};
+use crate::event::{CycleLine, Event, Flag, NoticeKind};
 use crate::pipeline::{Pipeline, PipelineConfig};
 use crate::sink::recording::Recorder;
 use crate::source::live::{Input, LiveSource, SourceState};
@@ -34,6 +38,8 @@ pub struct Surroundings {
     pub recorder: watch::Receiver<Option<Recorder>>,
     /// Time.
     pub clock: Clock,
+    /// Folder of what outlives the daemon.
+    pub folder: PathBuf,
     /// Raised whenever it has worked through what there was.
     pub progress: Arc<AtomicU64>,
 }
@@ -50,8 +56,12 @@ pub async fn run(
     let projections = model.projections();
     let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &model, &projections));
     let mut desk = Desk::new(&config, &model, &around);
-    if let Some(state) = around.keeper.restored(&config.axis) {
+    let state = around.keeper.restored(&config.axis);
+    desk.record.commission(&mut pipeline, state.is_some_and(|state| state.renewing));
+    if let Some(state) = state {
         pipeline.restore(Alarm::from(state.alarm));
+        state.drift.into_iter().for_each(|drift| pipeline.restore_drift(drift));
+        desk.renewing = state.renewing;
         desk.latch = state.latch;
         desk.estimate = state.estimate;
     }
@@ -62,8 +72,11 @@ pub async fn run(
         let input = tokio::select! {
             biased;
             _ = stop.changed() => break false,
-            Some(Order::Acknowledge) = orders.recv() => {
-                desk.acknowledge(&pipeline);
+            Some(order) = orders.recv() => {
+                match order {
+                    Order::Acknowledge => desk.acknowledge(&pipeline),
+                    Order::Renew => desk.renew(&mut pipeline),
+                }
                 continue;
             }
             input = source.read(&mut samples) => input,
@@ -92,6 +105,13 @@ struct Desk<'a> {
     config: &'a Config,
     around: &'a Surroundings,
     latch: Latch,
+    record: Record,
+    /// Whether a new baseline is being learned in the place of an older one.
+    renewing: bool,
+    /// A baseline has just been learned.
+    learned: bool,
+    finding: Finding,
+    time_to_leak: Option<TimeTo>,
     points: Points,
     /// Time of the sample that the pipeline is working on.
     sample_ns: i64,
@@ -122,6 +142,11 @@ impl<'a> Desk<'a> {
             config,
             around,
             latch: Latch::default(),
+            record: Record::open(&around.folder, config, model),
+            renewing: false,
+            learned: false,
+            finding: Finding::None,
+            time_to_leak: None,
             points: Points::new(cycle_points as usize),
             sample_ns: now_ns,
             last_sample_ns: now_ns,
@@ -175,6 +200,7 @@ impl<'a> Desk<'a> {
                 }
             }
             Event::Notice(notice) => {
+                self.learned |= notice.notice == NoticeKind::BaselineLearned;
                 tracing::warn!(axis = notice.axis, cycle = notice.cycle, "{}", notice.text);
             }
         }
@@ -199,6 +225,8 @@ impl<'a> Desk<'a> {
             _ => None,
         };
         self.estimate = estimate.or(self.estimate);
+        self.finding = line.comparison.as_ref().map_or(Finding::None, |comparison| comparison.finding);
+        self.time_to_leak = line.comparison.as_ref().and_then(|comparison| comparison.time_to_leak);
         let point = estimate.map(|LastEstimate { leak_area_m2, interval90_m2, leak_flow_lpm }| TrendPoint {
             t_ns: end_ns,
             leak_area_m2,
@@ -263,17 +291,53 @@ impl<'a> Desk<'a> {
         });
     }
 
+    /// The seal has been replaced: estimates count from here, as soon as there is a baseline.
+    fn renew(&mut self, pipeline: &mut Pipeline<'_>) {
+        tracing::info!(axis = self.config.axis, "a new baseline is learned from the next cycles");
+        self.record.renew(pipeline);
+        (self.renewing, self.news) = (true, true);
+        self.keep(pipeline);
+    }
+
+    /// Keeps a baseline that has just been learned.
+    fn keep_baseline(&mut self, pipeline: &Pipeline<'_>) {
+        if !std::mem::take(&mut self.learned) {
+            return;
+        }
+        self.renewing = false;
+        let Some(baseline) = pipeline.baseline() else { return };
+        let axis = self.config.axis.clone();
+        match self.record.add(baseline.clone()) {
+            Ok(write) => {
+                tokio::task::spawn_blocking(move || {
+                    write().unwrap_or_else(|error| {
+                        tracing::error!(
+                            axis,
+                            "the baseline cannot be kept: {error}; it is lost with the next start"
+                        );
+                    });
+                });
+            }
+            Err(error) => tracing::error!(axis, "the baseline cannot be kept: {error}"),
+        }
+    }
+
     fn keep(&self, pipeline: &Pipeline<'_>) {
-        let alarm = AlarmState::from(pipeline.alarm());
-        self.around
-            .keeper
-            .keep(&self.config.axis, AxisState { alarm, latch: self.latch, estimate: self.estimate });
+        let state = AxisState {
+            alarm: AlarmState::from(pipeline.alarm()),
+            latch: self.latch,
+            estimate: self.estimate,
+            drift: pipeline.drift(),
+            renewing: self.renewing,
+        };
+        self.around.keeper.keep(&self.config.axis, state);
     }
 
     fn tell_now_and_then(&mut self, pipeline: &Pipeline<'_>, source: &LiveSource, ended: bool) {
         let now_ns = self.around.clock.now_ns();
         if self.news {
             self.latch.take(pipeline.alarm().level());
+            self.keep_baseline(pipeline);
             self.keep(pipeline);
         }
         if self.news || ended || now_ns.saturating_sub(self.told_ns) >= TELL_NS {
@@ -290,6 +354,8 @@ impl<'a> Desk<'a> {
             health.state = SourceState::Silent;
         }
         let (latch, stale, last, estimate) = (self.latch, self.stale, self.last, self.estimate);
+        let (finding, time_to_leak) = (self.finding, self.time_to_leak);
+        let baseline = BaselineStatus::of(pipeline);
         let summary = pipeline.summary();
         let fresh = &mut self.points.fresh;
         self.around.hub.update_axis(&self.config.axis, |status, view| {
@@ -303,6 +369,10 @@ impl<'a> Desk<'a> {
                 leak_area_m2: estimate.map(|estimate| estimate.leak_area_m2),
                 interval90_m2: estimate.map(|estimate| estimate.interval90_m2),
                 leak_flow_lpm: estimate.map(|estimate| estimate.leak_flow_lpm),
+                time_to_leak_s: time_to_leak.map(|time| time.expected_s),
+                time_to_leak_range_s: time_to_leak.map(|time| [time.earliest_s, time.latest_s]),
+                baseline,
+                finding,
                 cycle: last.map(|last| last.cycle),
                 t_last_cycle_ns: last.map(|last| last.end_ns),
                 publication_delay_s: last.map(|last| last.delay_s),

@@ -6,8 +6,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use serde::{Deserialize, Serialize};
 use tokio::sync::{mpsc, watch};
 
+use crate::baseline::Finding;
 use crate::event::{Event, Flag, FlagEvent};
 use crate::live::clock;
+use crate::pipeline::Pipeline;
 use crate::source::live::SourceHealth;
 
 /// Cycles whose course is kept for the dashboard.
@@ -46,6 +48,12 @@ pub struct AxisStatus {
     pub reference_dp_pa: f64,
     /// Projected time until the flag `leak`, s; null where nothing is projected.
     pub time_to_leak_s: Option<f64>,
+    /// The shortest and the longest that the points so far admit, s.
+    pub time_to_leak_range_s: Option<[f64; 2]>,
+    /// What estimates are relative to.
+    pub baseline: BaselineStatus,
+    /// What the sums over cycles say against the baseline.
+    pub finding: Finding,
     /// Number of the last cycle.
     pub cycle: Option<u64>,
     /// End of the last cycle, ns on the daemon's line of time.
@@ -79,6 +87,9 @@ impl AxisStatus {
             leak_flow_lpm: None,
             reference_dp_pa,
             time_to_leak_s: None,
+            time_to_leak_range_s: None,
+            baseline: BaselineStatus::default(),
+            finding: Finding::None,
             cycle: None,
             t_last_cycle_ns: None,
             publication_delay_s: None,
@@ -86,6 +97,28 @@ impl AxisStatus {
             rejected: BTreeMap::new(),
             samples_rejected: BTreeMap::new(),
             source: SourceHealth::default(),
+        }
+    }
+}
+
+/// What an axis's estimates are relative to.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct BaselineStatus {
+    /// Cycles of the baseline in force; null where there is none.
+    pub cycles: Option<usize>,
+    /// What it was learned for.
+    pub occasion: Option<String>,
+    /// Where one is being learned: cycles so far, and cycles that are wanted.
+    pub learning: Option<[usize; 2]>,
+}
+
+impl BaselineStatus {
+    /// What a pipeline is at.
+    pub fn of(pipeline: &Pipeline<'_>) -> Self {
+        BaselineStatus {
+            cycles: pipeline.baseline().map(|baseline| baseline.cycles),
+            occasion: pipeline.baseline().map(|baseline| baseline.occasion.clone()),
+            learning: pipeline.learner().map(|learner| [learner.cycles(), learner.wanted()]),
         }
     }
 }
@@ -269,6 +302,8 @@ struct Axis {
 pub enum Order {
     /// Take note of the latched flag.
     Acknowledge,
+    /// Learn a new baseline from the next cycles: the seal has been replaced.
+    Renew,
 }
 
 #[derive(Default)]

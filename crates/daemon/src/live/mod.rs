@@ -5,6 +5,7 @@
 
 pub mod axis;
 pub mod clock;
+pub mod commission;
 pub mod hub;
 pub mod journal;
 pub mod spool;
@@ -245,6 +246,7 @@ impl Daemon {
             keeper: self.keeper.clone(),
             recorder: self.recorder.subscribe(),
             clock: self.clock,
+            folder: self.state_folder.clone(),
             progress: Arc::clone(&progress),
         };
         let model_changed = changed(&config);

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 
 use crate::alarm::{AlarmState, Latch};
+use crate::baseline::Drift;
 use crate::failure::Failure;
 use crate::live::hub::TrendPoint;
 
@@ -35,6 +36,19 @@ pub struct AxisState {
     /// The last estimate.
     #[serde(default)]
     pub estimate: Option<LastEstimate>,
+    /// The sums over cycles against the baseline.
+    #[serde(default)]
+    pub drift: Option<Drift>,
+    /// Whether a new baseline is being learned in the place of an older one.
+    #[serde(default)]
+    pub renewing: bool,
+}
+
+impl AxisState {
+    /// The state of an alarm of which nothing else is known.
+    fn of_alarm(alarm: AlarmState) -> Self {
+        AxisState { alarm, latch: Latch::default(), estimate: None, drift: None, renewing: false }
+    }
 }
 
 /// An axis's last estimate.
@@ -77,9 +91,7 @@ pub fn parse(text: &str) -> Result<BTreeMap<String, AxisState>, String> {
         }
         SCHEMA_1 => {
             let file: StateFile1 = serde_json::from_str(text).map_err(|error| error.to_string())?;
-            let taken_over =
-                |(axis, alarm)| (axis, AxisState { alarm, latch: Latch::default(), estimate: None });
-            Ok(file.axes.into_iter().map(taken_over).collect())
+            Ok(file.axes.into_iter().map(|(axis, alarm)| (axis, AxisState::of_alarm(alarm))).collect())
         }
         other => Err(format!("has the schema {other}; this version reads {SCHEMA} and older")),
     }
@@ -228,10 +240,11 @@ mod tests {
         let latch = Latch { latched: Some(Flag::Leak), acknowledged: true };
         let estimate =
             Some(LastEstimate { leak_area_m2: 1e-7, interval90_m2: [0.9e-7, 1.1e-7], leak_flow_lpm: 0.5 });
-        keeper.keep("press", AxisState { alarm: leaking(), latch, estimate });
+        let state = AxisState { latch, estimate, renewing: true, ..AxisState::of_alarm(leaking()) };
+        keeper.keep("press", state);
         keeper.write(&folder).unwrap();
         let again = Keeper::open(&folder).unwrap();
-        assert_eq!(again.restored("press"), Some(AxisState { alarm: leaking(), latch, estimate }));
+        assert_eq!(again.restored("press"), Some(state));
         assert_eq!(again.restored("other"), None);
     }
 
@@ -240,7 +253,7 @@ mod tests {
         let alarm = serde_json::to_string(&leaking()).unwrap();
         let text = format!(r#"{{"schema":"seepd.state/1","axes":{{"press":{alarm}}}}}"#);
         let axes = parse(&text).unwrap();
-        assert_eq!(axes["press"], AxisState { alarm: leaking(), latch: Latch::default(), estimate: None });
+        assert_eq!(axes["press"], AxisState::of_alarm(leaking()));
     }
 
     #[test]

@@ -123,6 +123,7 @@ fn routes(site: Arc<Site>) -> Router {
         .route("/api/v1/axes/{axis}/trend", get(trend))
         .route("/api/v1/axes/{axis}/cycles", get(cycles))
         .route("/api/v1/axes/{axis}/acknowledge", post(acknowledge))
+        .route("/api/v1/axes/{axis}/new-baseline", post(new_baseline))
         .route("/api/v1/events", get(events))
         .layer(middleware::from_fn_with_state(Arc::clone(&site), admit))
         // Whether it is well may be asked by everybody who gets here.
@@ -276,6 +277,14 @@ async fn cycles(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Resp
 async fn acknowledge(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
     if site.hub.order(&axis, Order::Acknowledge) {
         (StatusCode::ACCEPTED, Json(json!({ "acknowledged": axis }))).into_response()
+    } else {
+        no_axis(&site, &axis)
+    }
+}
+
+async fn new_baseline(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
+    if site.hub.order(&axis, Order::Renew) {
+        (StatusCode::ACCEPTED, Json(json!({ "new_baseline": axis }))).into_response()
     } else {
         no_axis(&site, &axis)
     }

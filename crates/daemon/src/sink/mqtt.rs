@@ -1,7 +1,8 @@
 //! A broker: events that arrive at least once and in order, and each axis's condition, retained.
 //!
-//! Below the prefix: `AXIS/cycle`, `AXIS/flag`, `AXIS/acknowledged`, `AXIS/test` (events), `AXIS/status` (retained),
-//! `status` (`online` or `offline`, retained; the last will). A message on `AXIS/acknowledge` takes note of a latched flag.
+//! Below the prefix: `AXIS/cycle`, `AXIS/flag`, `AXIS/notice`, `AXIS/acknowledged`, `AXIS/test` (events), `AXIS/status` (retained),
+//! `status` (`online` or `offline`, retained; the last will). A message on `AXIS/acknowledge` takes note of a latched flag, one on
+//! `AXIS/new_baseline` has a new baseline learned: the seal has been replaced.
 //! An event is on disk before it counts as told; it goes from there when the broker has confirmed it.
 
 use std::fs;
@@ -290,10 +291,14 @@ impl Broker {
 
     fn take_order(&self, topic: &str) {
         let rest = topic.strip_prefix(&self.config.prefix).and_then(|rest| rest.strip_prefix('/'));
-        if let Some(axis) = rest.and_then(|rest| rest.strip_suffix("/acknowledge"))
-            && !self.hub.order(axis, Order::Acknowledge)
-        {
-            tracing::warn!("{topic}: there is no axis {axis} to acknowledge");
+        let Some((axis, word)) = rest.and_then(|rest| rest.rsplit_once('/')) else { return };
+        let order = match word {
+            "acknowledge" => Order::Acknowledge,
+            "new_baseline" => Order::Renew,
+            _ => return,
+        };
+        if !self.hub.order(axis, order) {
+            tracing::warn!("{topic}: there is no axis {axis}");
         }
     }
 
@@ -316,15 +321,18 @@ impl Broker {
             return;
         }
         let status = format!("{}/status", self.config.prefix);
-        let orders = format!("{}/+/acknowledge", self.config.prefix);
+        let mut orders = ["acknowledge", "new_baseline"]
+            .map(|word| format!("{}/+/{word}", self.config.prefix))
+            .into_iter();
         let asked = match self.connection.as_ref().map(|connection| &connection.client) {
             Some(Client::V3(client)) => client
                 .try_publish(status, QoS::AtMostOnce, true, "online")
-                .and_then(|()| client.try_subscribe(orders, QoS::AtLeastOnce))
+                .and_then(|()| orders.try_for_each(|order| client.try_subscribe(order, QoS::AtLeastOnce)))
                 .map_err(|error| error.to_string()),
             Some(Client::V5(client)) => {
                 let announced = client.try_publish(status, qos_5(QoS::AtMostOnce), true, "online");
-                let subscribed = client.try_subscribe(orders, qos_5(QoS::AtLeastOnce));
+                let subscribed =
+                    orders.try_for_each(|order| client.try_subscribe(order, qos_5(QoS::AtLeastOnce)));
                 announced
                     .map_err(|error| error.to_string())
                     .and(subscribed.map_err(|error| error.to_string()))

@@ -41,7 +41,7 @@ function listen() {
     live = live.filter(([t]) => t > newest - LIVE_S * 1e9);
     drawLive();
   });
-  for (const kind of ["cycle", "flag", "acknowledged", "test"]) {
+  for (const kind of ["cycle", "flag", "notice", "acknowledged", "test"]) {
     stream.addEventListener(kind, (event) => heard(kind, JSON.parse(event.data)));
   }
 }
@@ -113,6 +113,26 @@ function showCondition(axis) {
   byId("latched").textContent = axis.latched
     ? "was up to: " + FLAGS[axis.latched] + (axis.acknowledged ? ", acknowledged" : ", not acknowledged") : "";
   byId("acknowledge").hidden = !latched;
+  showBaseline(axis);
+}
+
+const FINDINGS = { none: "as it was", leak: "more leakage than then", improved: "less leakage than then: learn a new baseline" };
+
+// Seconds as a person says them.
+function span(seconds) {
+  const units = [["days", 86400], ["hours", 3600], ["minutes", 60]];
+  const [name, size] = units.find(([, length]) => seconds >= 2 * length) || ["seconds", 1];
+  return Math.round(seconds / size) + " " + name;
+}
+
+function showBaseline(axis) {
+  const { cycles, occasion, learning } = axis.baseline;
+  byId("baseline").textContent = learning ? "learning the healthy machine: " + learning[0] + " of " + learning[1] + " cycles"
+    : cycles ? "against the baseline of " + cycles + " cycles (" + occasion + "): " + FINDINGS[axis.finding] : "no baseline: the model's own estimate";
+  const range = axis.time_to_leak_range_s;
+  byId("projection").textContent = axis.time_to_leak_s === null || axis.time_to_leak_s === 0 ? ""
+    : "“leak” in about " + span(axis.time_to_leak_s) + " (" + span(range[0]) + " … " + span(range[1]) + ")";
+  byId("renew").hidden = !cycles || Boolean(learning);
 }
 
 function showSource(axis) {
@@ -139,6 +159,7 @@ function heard(kind, event) {
   const time = event.published_at ? new Date(event.published_at).toLocaleString() : "clock not set";
   const what = kind === "flag"
     ? FLAGS[event.flag_from] + " → " + FLAGS[event.flag_to] + (event.evidence.reason ? " (" + told(event.evidence.reason) + ")" : "")
+    : kind === "notice" ? event.text
     : kind === "test" ? "test alarm" : "acknowledged " + (event.latched ? FLAGS[event.latched] : "");
   item.textContent = time + " · " + event.axis + " · " + what;
   item.className = event.flag_to || "";
@@ -267,6 +288,10 @@ function drawTrend() {
 
 byId("acknowledge").addEventListener("click", async () => {
   await fetch("/api/v1/axes/" + encodeURIComponent(chosen) + "/acknowledge", { method: "POST" });
+});
+byId("renew").addEventListener("click", async () => {
+  if (!confirm("Has the seal been replaced? Estimates will count from the next cycles; the old baseline stays in the record.")) return;
+  await fetch("/api/v1/axes/" + encodeURIComponent(chosen) + "/new-baseline", { method: "POST" });
 });
 addEventListener("resize", () => { drawLive(); drawCycles(); drawTrend(); });
 drawLive(); drawCycles(); drawTrend();
