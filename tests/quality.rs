@@ -113,6 +113,7 @@ fn watch(model: &Model, jobs: &[Job], batch: u64) -> Vec<u64> {
                 assert!(line.flag <= Flag::Healthy, "{line:?}");
             }
             Event::Flag(change) => assert_eq!(change.flag_to, Flag::Healthy),
+            Event::Notice(notice) => panic!("{}", notice.text),
         });
     });
     lanes.iter().map(|lane| lane.3).collect()

@@ -1,8 +1,6 @@
 //! What a person at a terminal sees beside the output: progress, and warnings.
 
-use std::io::IsTerminal;
-#[cfg(feature = "simulate")]
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -29,7 +27,6 @@ fn bar(length: u64, what: &'static str, template: &str) -> ProgressBar {
 }
 
 /// A warning, as one line.
-#[cfg(feature = "simulate")]
 pub(crate) fn warn(message: &str) {
     let _ = writeln!(std::io::stderr(), "seepd: {message}");
 }

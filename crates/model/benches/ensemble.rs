@@ -39,7 +39,13 @@ fn hundred_trees_25000_nodes(bencher: divan::Bencher<'_, '_>) {
             tree
         })
         .collect();
-    let calibration = Calibration { level: 0.9, spread_floor: 0.01, factors: vec![(0.0, 1.6)] };
+    let calibration = Calibration {
+        level: 0.9,
+        spread_floor: 0.01,
+        factors: vec![(0.0, 1.6)],
+        by_noise: Vec::new(),
+        healthy_limit: 0.0,
+    };
     let ensemble = Ensemble::from_checked(&trees, Transform::LnOffset(2e-8), calibration);
     let rows: Vec<[f64; FEATURES]> = (0..4096)
         .map(|_| {

@@ -49,7 +49,7 @@ struct Block {
     area_m2: f64,
 }
 
-/// Leak over time in at most [`BLOCKS`] points, however long.
+/// Leak over time in at most 48 points, however long.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trend {
     blocks: Vec<Block>,

@@ -321,21 +321,22 @@ impl Broker {
             return;
         }
         let status = format!("{}/status", self.config.prefix);
-        let mut orders = ["acknowledge", "new_baseline"]
-            .map(|word| format!("{}/+/{word}", self.config.prefix))
-            .into_iter();
+        let orders = ["acknowledge", "new_baseline"].map(|word| format!("{}/+/{word}", self.config.prefix));
         let asked = match self.connection.as_ref().map(|connection| &connection.client) {
             Some(Client::V3(client)) => client
                 .try_publish(status, QoS::AtMostOnce, true, "online")
-                .and_then(|()| orders.try_for_each(|order| client.try_subscribe(order, QoS::AtLeastOnce)))
+                .and_then(|()| {
+                    orders.into_iter().try_for_each(|order| client.try_subscribe(order, QoS::AtLeastOnce))
+                })
                 .map_err(|error| error.to_string()),
             Some(Client::V5(client)) => {
-                let announced = client.try_publish(status, qos_5(QoS::AtMostOnce), true, "online");
-                let subscribed =
-                    orders.try_for_each(|order| client.try_subscribe(order, qos_5(QoS::AtLeastOnce)));
-                announced
-                    .map_err(|error| error.to_string())
-                    .and(subscribed.map_err(|error| error.to_string()))
+                let told =
+                    |result: Result<(), rumqttc::v5::ClientError>| result.map_err(|error| error.to_string());
+                let announced = told(client.try_publish(status, qos_5(QoS::AtMostOnce), true, "online"));
+                let mut subscribed = orders
+                    .into_iter()
+                    .map(|order| told(client.try_subscribe(order, qos_5(QoS::AtLeastOnce))));
+                announced.and(subscribed.try_for_each(|result| result))
             }
             None => Ok(()),
         };

@@ -1,0 +1,18 @@
+//! A baseline: an error, or one that cycles can be compared with.
+#![no_main]
+use std::sync::LazyLock;
+
+use seepd::baseline::BaselineFile;
+use seepd_model::{Comparison, Model};
+
+static MODEL: LazyLock<Model> = LazyLock::new(|| Model::from_json(seepd::EMBEDDED_MODEL).expect("the program's own"));
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| {
+    if let Ok(file) = BaselineFile::parse(&String::from_utf8_lossy(data), &MODEL)
+        && let (Some(baseline), Some(relative)) = (file.newest(), MODEL.relative())
+    {
+        let present = [0.1; 8];
+        let given = relative.estimate(&Comparison { baseline: &baseline.mean, present: &present, load_change: None, noise: 0.001 });
+        assert!(!(given.estimate.value < 0.0));
+    }
+});
