@@ -201,6 +201,14 @@ fn baselines_that_cannot_be_are_refused_with_the_reason() {
         assert!(stderr(&output).contains(words), "{}", stderr(&output));
     }
     assert_eq!(seepd(["replay", "--learn-cycles", "5", log]).status.code(), Some(64));
+    // A configuration that names such a file is found out before the start.
+    let configuration = place.path("seepd.toml");
+    fs::write(&configuration, "[baseline]\nfile = \"damaged.json\"\n").unwrap();
+    assert_eq!(seepd(["check", configuration.to_str().unwrap()]).status.code(), Some(78));
+    fs::write(&configuration, "[baseline]\nfile = \"nominal.json\"\n").unwrap();
+    stdout(&seepd(["check", configuration.to_str().unwrap()]));
+    fs::write(&configuration, "[baseline]\nlearn_cycles = 7\n").unwrap();
+    assert_eq!(seepd(["check", configuration.to_str().unwrap()]).status.code(), Some(78));
     // A baseline whose numbers were damaged.
     let text =
         fs::read_to_string(place.baseline("nominal")).unwrap().replacen("\"noise\": 0", "\"noise\": -1", 1);

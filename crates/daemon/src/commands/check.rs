@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
+use crate::baseline::BaselineFile;
 use crate::cli::Outcome;
 use crate::config::{Config, load_model};
 use crate::failure::{Code, Failure};
@@ -15,7 +16,7 @@ use crate::source::frame_decoder;
 /// Checks plant, model and configuration files; tells line, key and the nearest known key of what is wrong.
 ///
 /// JSON is a model; TOML with a table `[plant]`, `[controller]`, `[cycle]` or `[effects]` is a plant; other TOML is a
-/// configuration, whose model is checked too. Every file is checked, also after one that is wrong.
+/// configuration, whose model and baseline are checked too. Every file is checked, also after one that is wrong.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd check plant.toml model.json seepd.toml")]
 pub struct CheckArguments {
@@ -145,6 +146,9 @@ fn check_configuration(path: &Path) -> Result<String, Failure> {
             )
         };
         let model = axis.load_model().map_err(of_axis)?;
+        if let Some(baseline) = &axis.baseline.file {
+            BaselineFile::read(baseline, &model).map_err(of_axis)?;
+        }
         if axis.dbc.is_some() || axis.source.can.is_some() {
             frame_decoder(axis).map_err(of_axis)?;
         }
