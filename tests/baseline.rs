@@ -210,11 +210,14 @@ fn baselines_that_cannot_be_are_refused_with_the_reason() {
     fs::write(&configuration, "[baseline]\nlearn_cycles = 7\n").unwrap();
     assert_eq!(seepd(["check", configuration.to_str().unwrap()]).status.code(), Some(78));
     // A baseline whose numbers were damaged.
-    let text =
-        fs::read_to_string(place.baseline("nominal")).unwrap().replacen("\"noise\": 0", "\"noise\": -1", 1);
-    let path = place.path("negative.json");
-    fs::write(&path, text).unwrap();
-    assert_eq!(seepd(["replay", "--baseline", path.to_str().unwrap(), log]).status.code(), Some(78));
+    let good = fs::read_to_string(place.baseline("nominal")).unwrap();
+    for (key, value) in [("noise", "-1.0"), ("load_n", "0.0"), ("response_deviation_m2", "1e999")] {
+        let line = good.lines().find(|line| line.contains(&format!("\"{key}\":"))).unwrap();
+        let path = place.path("numbers.json");
+        fs::write(&path, good.replacen(line, &format!("\"{key}\": {value},"), 1)).unwrap();
+        let output = seepd(["replay", "--baseline", path.to_str().unwrap(), log]);
+        assert_eq!(output.status.code(), Some(78), "{key}: {}", stderr(&output));
+    }
 }
 
 /// A growing leak gets a date: doubling each twenty cycles, it is 0.6 L/min some time after the log's end.

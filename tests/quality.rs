@@ -18,14 +18,34 @@ use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
 use seepd_train::{Settings, Trained, train};
 
-static TRAINED: LazyLock<Trained> =
-    LazyLock::new(|| train(&MachineSpec::default(), &Settings::default(), &mut |_, _, _| ()).unwrap());
+/// Trained as the embedded model was, but for fewer machines that calibrate and are compared with their baselines.
+static TRAINED: LazyLock<Trained> = LazyLock::new(|| {
+    let settings =
+        Settings { relative_machines: 48, calibrated_on: 512, tested_on: 64, ..Settings::default() };
+    train(&MachineSpec::default(), &settings, &mut |_, _, _| ()).unwrap()
+});
 
-/// The asset is what its command gives. Elsewhere than on x86-64 Linux the mathematical library may round otherwise.
+/// What the asset's own command gives, but for what the fewer machines decide. Elsewhere than on x86-64 Linux the mathematical
+/// library may round otherwise.
 #[test]
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
+fn embedded_trees_are_what_training_gives_to_the_bit() {
+    let [mut trained, mut embedded] = [&TRAINED.json[..], seepd::EMBEDDED_MODEL]
+        .map(|json| serde_json::from_slice::<serde_json::Value>(json).unwrap());
+    for model in [&mut trained, &mut embedded] {
+        for key in ["calibration", "golden", "relative"] {
+            assert!(model.as_object_mut().unwrap().remove(key).is_some(), "{key}");
+        }
+    }
+    assert!(trained == embedded, "run: seepd train --out crates/daemon/assets/model.json");
+}
+
+#[test]
+#[ignore = "three minutes: cargo test -p seepd --test quality -- --ignored"]
+#[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 fn embedded_model_is_what_training_gives_to_the_byte() {
-    assert!(TRAINED.json == seepd::EMBEDDED_MODEL, "run: seepd train --out crates/daemon/assets/model.json");
+    let trained = train(&MachineSpec::default(), &Settings::default(), &mut |_, _, _| ()).unwrap();
+    assert!(trained.json == seepd::EMBEDDED_MODEL, "run: seepd train --out crates/daemon/assets/model.json");
 }
 
 #[test]
@@ -36,8 +56,8 @@ fn accuracy_on_unseen_machines() {
     assert!(errors[0] <= 0.08 && errors[1] <= 0.03 && errors[2] <= 0.02, "{errors:?}");
     assert!(accuracy.largest_healthy_m2 < 3e-8, "{accuracy:?}");
     assert!(TRAINED.json.len() <= 1_000_000);
-    // The out-of-bag calibration aims at 90 %; about 780 machines give ± 2 % (2 σ).
-    assert!((0.87..=0.99).contains(&accuracy.coverage), "{accuracy:?}");
+    // 90 % is aimed at, calibrated on 512 machines here; these and about 780 measured give ± 4 % (2 σ).
+    assert!((0.86..=0.94).contains(&accuracy.coverage), "{accuracy:?}");
 }
 
 #[test]

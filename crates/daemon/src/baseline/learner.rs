@@ -4,14 +4,12 @@ use seepd_features::ValidCycle;
 use seepd_features::segment::MAX_PHASES;
 use seepd_model::{Comparison, Estimate, Model, Relative};
 
-use super::{Baseline, LEAST_CYCLES, MOST_CYCLES};
+use super::{Baseline, LEAST_CYCLES, LEAST_LOAD_N, MOST_CYCLES};
 
 /// Baselines further from training than this many standard deviations are remarked on.
 const FAR: f64 = 4.0;
 /// Share of cycles unlike the others that is remarked on.
 const MANY: f64 = 0.1;
-/// Smallest load that can be a measure of others, N.
-const LEAST_LOAD_N: f64 = 10.0;
 
 /// A cycle as far as a baseline needs it.
 #[derive(Debug, Clone, Copy)]

@@ -26,6 +26,8 @@ const SCHEMA: &str = "seepd.baseline/1";
 pub const LEAST_CYCLES: usize = 20;
 /// Most cycles of a baseline.
 pub const MOST_CYCLES: usize = 1000;
+/// Smallest mean load that can be a measure of others, N.
+const LEAST_LOAD_N: f64 = 10.0;
 
 /// A healthy machine's cycles in numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -145,18 +147,20 @@ impl Baseline {
     fn check(&self, relative: &Relative) -> Result<(), String> {
         let phases = relative.phases();
         for (name, values) in [("mean", &self.mean), ("deviation", &self.deviation)] {
-            if values.len() != phases || values.iter().any(|value| !value.is_finite()) {
-                return Err(format!("baselines: {name} must have {phases} finite values"));
+            // Negated, so that what is no number is caught as well.
+            if values.len() != phases || !values.iter().all(|value| value.abs() <= 1.1) {
+                return Err(format!("baselines: {name} must have {phases} values within full command"));
             }
         }
         let positive = [self.response_deviation_m2, self.noise]
             .into_iter()
             .chain(self.load_response_deviation_m2)
             .all(|value| value.is_finite() && value >= 0.0);
-        if !positive || self.load_n.is_some_and(|load_n| !load_n.is_finite()) {
-            return Err(
-                "baselines: deviations, noise and load must be finite, the former not negative".into()
-            );
+        if !positive {
+            return Err("baselines: deviations and noise must be finite and not negative".into());
+        }
+        if self.load_n.is_some_and(|load_n| !(LEAST_LOAD_N..1e12).contains(&load_n.abs())) {
+            return Err(format!("baselines: load_n must be null, or {LEAST_LOAD_N} N at least"));
         }
         Ok(())
     }

@@ -304,21 +304,13 @@ impl<'a> Desk<'a> {
         if !std::mem::take(&mut self.learned) {
             return;
         }
-        self.renewing = false;
         let Some(baseline) = pipeline.baseline() else { return };
-        let axis = self.config.axis.clone();
         match self.record.add(baseline.clone()) {
-            Ok(write) => {
-                tokio::task::spawn_blocking(move || {
-                    write().unwrap_or_else(|error| {
-                        tracing::error!(
-                            axis,
-                            "the baseline cannot be kept: {error}; it is lost with the next start"
-                        );
-                    });
-                });
-            }
-            Err(error) => tracing::error!(axis, "the baseline cannot be kept: {error}"),
+            Ok(()) => self.renewing = false,
+            Err(error) => tracing::error!(
+                axis = self.config.axis,
+                "the baseline cannot be kept: {error}; it counts until the next start, and another is learned then"
+            ),
         }
     }
 

@@ -59,16 +59,13 @@ impl Record {
         pipeline.learn("seal replaced", cycles);
     }
 
-    /// Adds a baseline; writing it is the returned work, for a thread that may wait.
+    /// Adds a baseline. It is on disk when this returns, before the state may say that there is nothing to learn any more; a seal is
+    /// replaced rarely enough to wait for the disk.
     ///
     /// # Errors
-    /// None that is known: every number of a baseline is finite.
-    pub fn add(
-        &mut self,
-        baseline: Baseline,
-    ) -> serde_json::Result<impl FnOnce() -> io::Result<()> + Send + use<>> {
+    /// Writing failed; it counts until the daemon ends.
+    pub fn add(&mut self, baseline: Baseline) -> io::Result<()> {
         self.file.baselines.push(baseline);
-        let (path, text) = (self.path.clone(), self.file.to_json()?);
-        Ok(move || write_durably(&path, text.as_bytes()))
+        write_durably(&self.path, self.file.to_json()?.as_bytes())
     }
 }
