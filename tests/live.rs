@@ -397,7 +397,11 @@ fn the_first_cycles_become_the_baseline_and_a_new_seal_begins_another() {
     let daemon = Daemon::start(folder.path(), &live);
     until("an answer", SOON, || axis_status(port).is_some());
     let status = axis_status(port).unwrap();
-    assert_eq!((&status["level"], &status["baseline"]["cycles"]), (&"watch".into(), &20.into()), "{status}");
+    assert_eq!(
+        (&status["level"], &status["baseline"]["learned_cycles"]),
+        (&"watch".into(), &20.into()),
+        "{status}"
+    );
     let answer = ask(port, "POST", "/api/v1/axes/press-1/new-baseline", "").unwrap();
     assert_eq!(answer.code, 202, "{}", answer.body);
     assert_eq!(ask(port, "POST", "/api/v1/axes/other/new-baseline", "").unwrap().code, 404);

@@ -105,7 +105,7 @@ impl AxisStatus {
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct BaselineStatus {
     /// Cycles of the baseline in force; null where there is none.
-    pub cycles: Option<usize>,
+    pub learned_cycles: Option<usize>,
     /// What it was learned for.
     pub occasion: Option<String>,
     /// Where one is being learned: cycles so far, and cycles that are wanted.
@@ -116,7 +116,7 @@ impl BaselineStatus {
     /// What a pipeline is at.
     pub fn of(pipeline: &Pipeline<'_>) -> Self {
         BaselineStatus {
-            cycles: pipeline.baseline().map(|baseline| baseline.cycles),
+            learned_cycles: pipeline.baseline().map(|baseline| baseline.cycles),
             occasion: pipeline.baseline().map(|baseline| baseline.occasion.clone()),
             learning: pipeline.learner().map(|learner| [learner.cycles(), learner.wanted()]),
         }

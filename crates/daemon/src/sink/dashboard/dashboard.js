@@ -126,7 +126,7 @@ function span(seconds) {
 }
 
 function showBaseline(axis) {
-  const { cycles, occasion, learning } = axis.baseline;
+  const { learned_cycles: cycles, occasion, learning } = axis.baseline;
   byId("baseline").textContent = learning ? "learning the healthy machine: " + learning[0] + " of " + learning[1] + " cycles"
     : cycles ? "against the baseline of " + cycles + " cycles (" + occasion + "): " + FINDINGS[axis.finding] : "no baseline: the model's own estimate";
   const range = axis.time_to_leak_range_s;
