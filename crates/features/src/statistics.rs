@@ -230,6 +230,11 @@ impl CycleStatistics {
         }
     }
 
+    /// Mean command of each phase, in the definition's order; 0 where the definition has no more.
+    pub fn phase_means(&self) -> [f64; MAX_PHASES] {
+        self.phases.map(|phase| phase.mean)
+    }
+
     /// The cycle's command in bins, aligned to its anchors; empty where the definition has no projection.
     pub fn bins(&self) -> &[f32] {
         self.bins.get(..self.bin_count).unwrap_or_default()

@@ -16,6 +16,9 @@ use crate::schema::{RelativeFile, RelativeGolden, Transform, ViewFile};
 pub const MAX_CHANGES: usize = MAX_PHASES + 1;
 /// Most inputs of the trees: baseline and changes by phase, and the response.
 const MAX_INPUTS: usize = 2 * MAX_PHASES + 1;
+/// What each cycle takes from the sums over cycles, in standard deviations of the response; the stated rate of false alarms
+/// depends on it.
+pub const DRIFT_ALLOWANCE: f64 = 0.5;
 /// A baseline further from training's than this many standard deviations counts as that far: products would run away.
 const FARTHEST_BASELINE: f64 = 4.0;
 /// A response as negative as this share of the offset counts as that: it has a logarithm.
@@ -260,7 +263,7 @@ impl Inputs {
     }
 
     /// The response, and each change's share of it: of a product of two, half each.
-    fn response(&self, coefficients: &[f64], contributions: &mut [f64; MAX_CHANGES]) -> f64 {
+    pub fn response(&self, coefficients: &[f64], contributions: &mut [f64; MAX_CHANGES]) -> f64 {
         let mut coefficients = coefficients.iter();
         let mut sum = 0.0;
         self.each_term(|term, [i, j]| {

@@ -4,7 +4,9 @@
 //! leaks and without. A baseline is the mean of [`BASELINE_CYCLES`] cycles, so that its noise is that much smaller.
 
 use seepd_features::statistics::CycleStatistics;
-use seepd_model::relative::{Comparison, Inputs, centred, distance, log_response};
+use seepd_model::relative::{
+    Comparison, DRIFT_ALLOWANCE, Inputs, MAX_CHANGES, centred, distance, log_response,
+};
 use seepd_model::schema::{
     DetectionFile, NoveltyFile, RelativeFile, RelativeGolden, Transform, Tree, ViewFile,
 };
@@ -94,9 +96,8 @@ const MODEL_ERROR: f64 = 0.05;
 const NOVELTY_ROOM: f64 = 1.25;
 /// Room over the largest change of load that was learned from: the response is smooth.
 const LOAD_ROOM: f64 = 2.0;
-/// Threshold of the cumulative sum, and its allowance, standard deviations.
+/// Threshold of the cumulative sum, standard deviations.
 const THRESHOLD: f64 = 10.0;
-const ALLOWANCE: f64 = 0.5;
 /// Golden pairs in the file.
 const GOLDEN: usize = 6;
 
@@ -246,7 +247,7 @@ impl Workshop<'_> {
     }
 
     fn phase_means(&self, statistics: &CycleStatistics) -> Vec<f64> {
-        statistics.phases.iter().take(self.reading.phases.len()).map(|phase| phase.mean).collect()
+        statistics.phase_means()[..self.reading.phases.len()].to_vec()
     }
 }
 
@@ -347,10 +348,7 @@ impl Learned {
 
     fn response_m2(&self, comparison: &Comparison<'_>) -> f64 {
         let coefficients = &self.responses[usize::from(comparison.load_change.is_some())];
-        let (mut sum, mut coefficients) = (0.0, coefficients.iter());
-        self.inputs(comparison)
-            .each_term(|term, _| sum += coefficients.next().copied().unwrap_or(0.0) * term);
-        sum
+        self.inputs(comparison).response(coefficients, &mut [0.0; MAX_CHANGES])
     }
 
     /// Trees on both views of all pairs: the correction is about the same.
@@ -551,7 +549,7 @@ pub(crate) fn learn(
         largest_load_change: LOAD_ROOM * settings.conditions.load.max(0.01),
         detection: DetectionFile {
             threshold: THRESHOLD,
-            cycles_between_false_alarms: significant(cycles_between_false_alarms(THRESHOLD, ALLOWANCE)),
+            cycles_between_false_alarms: significant(cycles_between_false_alarms(THRESHOLD, DRIFT_ALLOWANCE)),
         },
         piston_areas_m2: [spec.plant.cap_area_m2, spec.plant.annulus_area_m2],
         baseline_mean: learned.baseline_mean,

@@ -1,10 +1,9 @@
 //! Has the machine left its baseline for good? Two cumulative sums over cycles (Page, "Continuous inspection schemes", Biometrika 41
 //! (1954)), one for a leak and one for the opposite.
 
+use seepd_model::relative::DRIFT_ALLOWANCE;
 use serde::{Deserialize, Serialize};
 
-/// What each cycle takes from the sums, in standard deviations of the response.
-const ALLOWANCE: f64 = 0.5;
 /// The sums end here, over the threshold: what has gone is soon known to have gone.
 const CEILING: f64 = 2.0;
 
@@ -50,7 +49,7 @@ pub struct DriftLimits {
 impl Drift {
     /// Takes a cycle's response, m².
     pub fn take(&mut self, response_m2: f64, limits: &DriftLimits) {
-        let step = |towards: f64| (towards - limits.reference_m2) / limits.deviation_m2 - ALLOWANCE;
+        let step = |towards: f64| (towards - limits.reference_m2) / limits.deviation_m2 - DRIFT_ALLOWANCE;
         let ceiling = CEILING * limits.threshold;
         let before = self.found;
         self.up = (self.up + step(response_m2)).clamp(0.0, ceiling);

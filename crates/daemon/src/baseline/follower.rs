@@ -1,7 +1,6 @@
 //! Compares each cycle with the baseline.
 
 use seepd_features::ValidCycle;
-use seepd_features::segment::MAX_PHASES;
 use seepd_model::{Comparison, Estimate, Model, Relative, RelativeEstimate};
 use serde::Serialize;
 
@@ -107,10 +106,7 @@ impl Follower {
     /// Compares a cycle that ends at a time, s. One unlike everything that training has seen leaves sums and trend alone.
     pub fn take(&mut self, model: &Model, cycle: &ValidCycle<'_>, end_s: f64) -> Option<Followed> {
         let relative = model.relative()?;
-        let mut present = [0.0; MAX_PHASES];
-        for (mean, phase) in present.iter_mut().zip(&cycle.statistics.phases) {
-            *mean = phase.mean;
-        }
+        let present = cycle.statistics.phase_means();
         let (load, load_change) = self.load_of(cycle);
         let estimate =
             compare(relative, &self.baseline.mean, present.get(..relative.phases())?, load_change, cycle);

@@ -4,7 +4,7 @@ use seepd_features::ValidCycle;
 use seepd_features::segment::MAX_PHASES;
 use seepd_model::{Comparison, Estimate, Model, Relative};
 
-use super::{Baseline, LEAST_CYCLES, LEAST_LOAD_N, MOST_CYCLES};
+use super::{Baseline, LEAST_CYCLES, LEAST_LOAD_N, MOST_CYCLES, relative_of};
 
 /// Baselines further from training than this many standard deviations are remarked on.
 const FAR: f64 = 4.0;
@@ -42,14 +42,10 @@ impl Learner {
         if self.is_full() {
             return;
         }
-        let mut means = [0.0; MAX_PHASES];
-        for (mean, phase) in means.iter_mut().zip(&cycle.statistics.phases) {
-            *mean = phase.mean;
-        }
         self.cycles.push(Learned {
             start_ns: cycle.start_ns,
             end_ns: cycle.end_ns,
-            means,
+            means: cycle.statistics.phase_means(),
             noise: cycle.statistics.noise,
             load_n: cycle.statistics.load.filter(|load| !load.is_frozen()).map(|load| load.mean_n),
             absolute,
@@ -81,9 +77,7 @@ impl Learner {
     /// # Errors
     /// One line: the model cannot compare, too few cycles, or too few that are alike.
     pub fn baseline(&self, model: &Model) -> Result<Baseline, String> {
-        let Some(relative) = model.relative() else {
-            return Err("the model has no estimates relative to a baseline; train it anew".into());
-        };
+        let relative = relative_of(model)?;
         let phases = relative.phases();
         if self.cycles.len() < LEAST_CYCLES {
             return Err(format!(

@@ -104,9 +104,7 @@ impl BaselineFile {
         if file.schema != SCHEMA {
             return Err(format!("has the schema {}; this version reads {SCHEMA}", file.schema));
         }
-        let Some(relative) = model.relative() else {
-            return Err("the model has no estimates relative to a baseline; train it anew".into());
-        };
+        let relative = relative_of(model)?;
         if file.plant_sha256 != model.file().plant_sha256 || file.phases != phase_names(model) {
             return Err(
                 "was learned with another model; learn it again with this one: seepd learn-baseline".into()
@@ -137,6 +135,16 @@ impl BaselineFile {
     pub fn to_json(&self) -> serde_json::Result<String> {
         serde_json::to_string_pretty(self).map(|text| text + "\n")
     }
+}
+
+/// What compares with a baseline.
+///
+/// # Errors
+/// One line where the model has no such part.
+pub fn relative_of(model: &Model) -> Result<&Relative, String> {
+    model
+        .relative()
+        .ok_or_else(|| "the model has no estimates relative to a baseline; train it anew: seepd train".into())
 }
 
 fn phase_names(model: &Model) -> Vec<String> {

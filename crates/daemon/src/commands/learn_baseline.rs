@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use seepd_model::Model;
 
+use super::reading::ReadingArguments;
 use super::replay::check_cycles;
 use crate::baseline::{Baseline, BaselineFile, MOST_CYCLES};
 use crate::cli::Outcome;
-use crate::config::{Config, Selection, load_model};
+use crate::config::Config;
 use crate::failure::{Code, Failure};
 use crate::pipeline::{Pipeline, PipelineConfig};
 use crate::progress::{byte_bar, warn};
@@ -44,21 +45,8 @@ pub struct LearnBaselineArguments {
     /// Use the first N usable cycles only
     #[arg(long, value_name = "N", default_value_t = MOST_CYCLES)]
     cycles: usize,
-    /// Configuration with mapping and model
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Model instead of the configuration's or the one that the program brings
-    #[arg(long, value_name = "FILE")]
-    model: Option<PathBuf>,
-    /// Topic of the signals, where the log has several axes; interface in a CAN log
-    #[arg(long, value_name = "TOPIC")]
-    topic: Option<String>,
-    /// DBC file that describes a CAN log's frames
-    #[arg(long, value_name = "FILE")]
-    dbc: Option<PathBuf>,
-    /// Field, column or DBC signal (`Signal` or `Message.Signal`) of the command
-    #[arg(long, value_name = "FIELD")]
-    command: Option<String>,
+    #[command(flatten)]
+    reading: ReadingArguments,
     /// Print the baseline as one JSON object
     #[arg(long)]
     json: bool,
@@ -70,13 +58,7 @@ pub struct LearnBaselineArguments {
 /// [`Failure`] for arguments, configuration, logs, or cycles that make no baseline.
 pub fn run(arguments: &LearnBaselineArguments) -> Result<Outcome, Failure> {
     check_cycles("--cycles", arguments.cycles)?;
-    let mut config = arguments.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
-    config.selection = Selection { topic: arguments.topic.clone(), command: arguments.command.clone() };
-    config.dbc = arguments.dbc.clone().or(config.dbc);
-    let model = match &arguments.model {
-        Some(path) => load_model(path)?,
-        None => config.load_model()?,
-    };
+    let (config, model) = arguments.reading.load()?;
     let mut file = record_of(arguments, &config, &model)?;
     let usual = if arguments.seal_replaced { "seal replaced" } else { "commissioning" };
     let occasion = arguments.occasion.as_deref().unwrap_or(usual);

@@ -11,6 +11,7 @@ pub mod gap;
 pub mod init;
 pub mod inspect;
 pub mod learn_baseline;
+pub mod reading;
 pub mod replay;
 #[cfg(feature = "live")]
 pub mod run;

@@ -9,9 +9,10 @@ use indicatif::ProgressBar;
 
 use seepd_model::Model;
 
-use crate::baseline::{BaselineFile, LEAST_CYCLES, MOST_CYCLES};
+use super::reading::ReadingArguments;
+use crate::baseline::{BaselineFile, LEAST_CYCLES, MOST_CYCLES, relative_of};
 use crate::cli::Outcome;
-use crate::config::{Config, Selection, load_model};
+use crate::config::Config;
 use crate::event::{Event, Flag, Summary};
 use crate::failure::{Code, Failure};
 use crate::html::report::ReportPage;
@@ -39,27 +40,14 @@ pub struct ReplayArguments {
     /// Logs: MCAP, CSV or candump; `-` reads a text from standard input
     #[arg(required = true, value_name = "LOG")]
     logs: Vec<PathBuf>,
-    /// Configuration with mapping, model and alarm thresholds
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Model instead of the configuration's or the one that the program brings
-    #[arg(long, value_name = "FILE")]
-    model: Option<PathBuf>,
+    #[command(flatten)]
+    reading: ReadingArguments,
     /// Baseline of the machine, from `learn-baseline`: estimates are then relative to it
     #[arg(long, value_name = "FILE", conflicts_with = "learn_cycles")]
     baseline: Option<PathBuf>,
     /// Learn the baseline from the first N cycles, and compare the rest with it
     #[arg(long, value_name = "N")]
     learn_cycles: Option<usize>,
-    /// Topic of the signals, where the log has several axes; interface in a CAN log
-    #[arg(long, value_name = "TOPIC")]
-    topic: Option<String>,
-    /// DBC file that describes a CAN log's frames
-    #[arg(long, value_name = "FILE")]
-    dbc: Option<PathBuf>,
-    /// Field, column or DBC signal (`Signal` or `Message.Signal`) of the command
-    #[arg(long, value_name = "FIELD")]
-    command: Option<String>,
     /// Print JSON lines: a line a cycle, then the summary
     #[arg(long)]
     json: bool,
@@ -96,7 +84,7 @@ struct Files {
 /// # Errors
 /// [`Failure`] for configuration, model, logs or output.
 pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
-    let mut config = arguments.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
+    let (mut config, model) = arguments.reading.load()?;
     if let Some(mpa) = arguments.reference_mpa {
         if !(0.1..=100.0).contains(&mpa) {
             return Err(Failure::new(
@@ -106,12 +94,6 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         }
         config.reference_dp_pa = mpa * 1e6;
     }
-    config.selection = Selection { topic: arguments.topic.clone(), command: arguments.command.clone() };
-    config.dbc = arguments.dbc.clone().or(config.dbc);
-    let model = match &arguments.model {
-        Some(path) => load_model(path)?,
-        None => config.load_model()?,
-    };
     let projections = model.projections();
     let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &model, &projections));
     commission(&mut pipeline, arguments, &config, &model)?;
@@ -170,10 +152,7 @@ fn commission(
 ) -> Result<(), Failure> {
     if let Some(cycles) = arguments.learn_cycles {
         check_cycles("--learn-cycles", cycles)?;
-        if model.relative().is_none() {
-            let what = "the model has no estimates relative to a baseline; train it anew: seepd train";
-            return Err(Failure::new(Code::Configuration, what));
-        }
+        relative_of(model).map_err(|what| Failure::new(Code::Configuration, what))?;
         pipeline.learn("first cycles", cycles);
     } else if let Some(path) = arguments.baseline.as_ref().or(config.baseline.file.as_ref()) {
         let file = BaselineFile::read(path, model)?;

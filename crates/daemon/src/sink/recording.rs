@@ -22,8 +22,10 @@ use crate::failure::Failure;
 use crate::live::clock;
 use crate::live::hub::{Hub, Kind, Publication};
 
-/// Samples and events on their way to the thread.
-const UNDER_WAY: usize = 4096;
+/// Samples on their way to the thread.
+const SAMPLES_UNDER_WAY: usize = 4096;
+/// Events on their way to the thread: they do not queue behind samples, which may be dropped where the disk is slow.
+const EVENTS_UNDER_WAY: usize = 1024;
 /// The thread looks for them this often.
 const LOOK: Duration = Duration::from_millis(50);
 /// The file is made durable this often, in looks.
@@ -38,15 +40,23 @@ const LOOKS_AFTER_FAILURE: u32 = 200;
 pub const SINK: &str = "recording";
 
 enum Record {
+    /// A sample of the axis with this index.
     Sample(u16, Sample),
     Event(Arc<Publication>),
-    Stop,
+}
+
+/// What is on its way to the thread.
+struct Inbox {
+    /// `None` ends the recording.
+    samples: Receiver<Option<(u16, Sample)>>,
+    events: Receiver<Arc<Publication>>,
 }
 
 /// Takes samples and events for the recording.
 #[derive(Clone)]
 pub struct Recorder {
-    sender: SyncSender<Record>,
+    samples: SyncSender<Option<(u16, Sample)>>,
+    events: SyncSender<Arc<Publication>>,
     axes: Arc<[String]>,
     lost: Arc<AtomicU64>,
 }
@@ -56,27 +66,27 @@ impl Recorder {
     /// a machine waits for nobody.
     pub fn sample(&self, axis: &str, sample: &Sample, pace: Pace) {
         let Some(index) = self.axes.iter().position(|known| known == axis) else { return };
-        let record = Record::Sample(index as u16, *sample);
+        let record = Some((index as u16, *sample));
         match pace {
-            Pace::Fast => drop(self.sender.send(record)),
-            Pace::Recorded => self.send(record),
+            Pace::Fast => drop(self.samples.send(record)),
+            Pace::Recorded => self.count(self.samples.try_send(record).is_ok()),
         }
     }
 
     /// Records an event.
     pub fn event(&self, event: &Arc<Publication>) {
-        self.send(Record::Event(Arc::clone(event)));
+        self.count(self.events.try_send(Arc::clone(event)).is_ok());
     }
 
-    fn send(&self, record: Record) {
-        if self.sender.try_send(record).is_err() {
+    fn count(&self, taken: bool) {
+        if !taken {
             self.lost.fetch_add(1, Ordering::Relaxed);
         }
     }
 
     /// Ends the recording once all that was sent is written.
     pub fn stop(&self) {
-        let _ = self.sender.send(Record::Stop);
+        let _ = self.samples.send(None);
     }
 }
 
@@ -90,10 +100,12 @@ pub fn start(
     axes: Vec<String>,
     hub: Arc<Hub>,
 ) -> Result<(Recorder, JoinHandle<()>), Failure> {
-    let (sender, receiver) = sync_channel(UNDER_WAY);
+    let (samples, coming_samples) = sync_channel(SAMPLES_UNDER_WAY);
+    let (events, coming_events) = sync_channel(EVENTS_UNDER_WAY);
+    let inbox = Inbox { samples: coming_samples, events: coming_events };
     let axes: Arc<[String]> = axes.into();
     let lost = Arc::new(AtomicU64::new(0));
-    let recorder = Recorder { sender, axes: Arc::clone(&axes), lost: Arc::clone(&lost) };
+    let recorder = Recorder { samples, events, axes: Arc::clone(&axes), lost: Arc::clone(&lost) };
     let tape = Tape {
         config: config.clone(),
         folder: folder.to_owned(),
@@ -104,7 +116,7 @@ pub fn start(
         sent: 0,
         thrown_away: 0,
     };
-    let thread = thread::Builder::new().name("recording".into()).spawn(move || tape.run(&receiver));
+    let thread = thread::Builder::new().name("recording".into()).spawn(move || tape.run(&inbox));
     let thread = thread.map_err(|error| Failure::writing(folder, error))?;
     Ok((recorder, thread))
 }
@@ -122,10 +134,10 @@ struct Tape {
 }
 
 impl Tape {
-    fn run(mut self, receiver: &Receiver<Record>) {
+    fn run(mut self, inbox: &Inbox) {
         let (mut looks, mut pause) = (0u32, 0u32);
         loop {
-            let stop = self.drain(receiver, &mut pause);
+            let stop = self.drain(inbox, &mut pause);
             looks += 1;
             if stop {
                 if let Some(file) = self.file.take()
@@ -148,12 +160,20 @@ impl Tape {
     }
 
     /// Writes what has come; `true` where it was the end.
-    fn drain(&mut self, receiver: &Receiver<Record>, pause: &mut u32) -> bool {
+    fn drain(&mut self, inbox: &Inbox, pause: &mut u32) -> bool {
+        let mut ending = false;
         loop {
-            let record = match receiver.try_recv() {
-                Ok(Record::Stop) | Err(TryRecvError::Disconnected) => return true,
-                Err(TryRecvError::Empty) => return false,
-                Ok(record) => record,
+            let record = match inbox.events.try_recv() {
+                Ok(event) => Record::Event(event),
+                Err(_) if ending => return true,
+                Err(_) => match inbox.samples.try_recv() {
+                    Ok(Some((axis, sample))) => Record::Sample(axis, sample),
+                    Err(TryRecvError::Empty) => return false,
+                    Ok(None) | Err(TryRecvError::Disconnected) => {
+                        ending = true; // once the last events are written
+                        continue;
+                    }
+                },
             };
             if *pause > 0 {
                 self.thrown_away += 1;
@@ -179,7 +199,6 @@ impl Tape {
         let time_ns = match record {
             Record::Sample(_, sample) => sample.time_ns,
             Record::Event(event) => event.t_ns,
-            Record::Stop => return Ok(()),
         };
         if self.file.is_none() {
             fs::create_dir_all(&self.folder)?;
@@ -193,7 +212,6 @@ impl Tape {
                 file.write_sample(name, sample)
             }
             Record::Event(event) => file.write_event(event),
-            Record::Stop => Ok(()),
         }
     }
 
