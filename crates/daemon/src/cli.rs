@@ -40,6 +40,8 @@ enum Command {
     Replay(commands::replay::ReplayArguments),
     /// Learn the healthy machine, so that estimates are relative to it
     LearnBaseline(commands::learn_baseline::LearnBaselineArguments),
+    /// Compare estimates and flags with the truth that logs hold
+    Evaluate(commands::evaluate::EvaluateArguments),
     /// Watch axes live: CAN in; leakage, flags and a dashboard out
     #[cfg(feature = "live")]
     Run(commands::run::RunArguments),
@@ -84,6 +86,7 @@ pub fn main() -> ExitCode {
         Command::Study(arguments) => commands::study::run(arguments),
         Command::Replay(arguments) => commands::replay::run(arguments),
         Command::LearnBaseline(arguments) => commands::learn_baseline::run(arguments),
+        Command::Evaluate(arguments) => commands::evaluate::run(arguments),
         #[cfg(feature = "live")]
         Command::Run(arguments) => commands::run::run(arguments),
         #[cfg(feature = "live")]

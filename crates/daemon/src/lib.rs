@@ -9,6 +9,7 @@ pub mod can;
 pub mod cli;
 pub mod commands;
 pub mod config;
+pub mod evaluation;
 pub mod event;
 pub mod failure;
 pub mod html;

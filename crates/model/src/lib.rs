@@ -7,6 +7,7 @@
 
 extern crate alloc;
 
+pub mod accuracy;
 pub mod check;
 pub mod ensemble;
 pub mod model;

@@ -1,12 +1,12 @@
 //! The article's ensemble (five features, 1,200 observations, 27 learners) against the program's model.
 
+use seepd_model::accuracy::{median, r_squared};
 use seepd_model::schema::Tree;
 use seepd_sim::MachineSpec;
 use seepd_sim::noise::Noise;
 use seepd_train::Spread;
 use seepd_train::dataset;
 use seepd_train::forest::{Forest, Growth, Table, predict};
-use seepd_train::report::{median, r_squared};
 use serde::Serialize;
 
 use crate::features::{Cycle, Lens, presses};

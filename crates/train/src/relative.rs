@@ -4,6 +4,7 @@
 //! leaks and without. A baseline is the mean of [`BASELINE_CYCLES`] cycles, so that its noise is that much smaller.
 
 use seepd_features::statistics::CycleStatistics;
+use seepd_model::accuracy::{Decade, Judged, coverage, decades, median_relative_error};
 use seepd_model::relative::{
     Comparison, DRIFT_ALLOWANCE, Inputs, MAX_CHANGES, centred, distance, log_response,
 };
@@ -20,7 +21,7 @@ use crate::conformal::{self, Prediction, significant};
 use crate::dataset::{self, Observation, Reading};
 use crate::forest::{Forest, Growth, Table};
 use crate::linear;
-use crate::report::{NOISE_LEVELS, median};
+use crate::report::NOISE_LEVELS;
 use crate::train::Settings;
 
 /// Cycles that a baseline is the mean of.
@@ -301,7 +302,7 @@ pub struct RelativeAccuracy {
     /// Share of leaks in the main range whose truth lies within the 90 % interval.
     pub coverage: f64,
     /// The same and the median relative error for 5e-8 … 1e-7 … 1e-6 … 1e-5 m².
-    pub decades: Vec<crate::report::Decade>,
+    pub decades: Vec<Decade>,
     /// Standard deviation of the response of machines without a leak, m².
     pub healthy_deviation_m2: f64,
     /// Share of machines without a leak whose interval begins above 0.
@@ -628,19 +629,17 @@ fn accuracy_of(
     results: &[(f64, seepd_model::RelativeEstimate)],
     one_lpm_m2: f64,
 ) -> RelativeAccuracy {
-    let estimates: Vec<(f64, seepd_model::Estimate)> =
-        results.iter().map(|(truth, given)| (*truth, given.estimate)).collect();
+    let cases: Vec<Judged> =
+        results.iter().map(|(truth, given)| Judged::new(*truth, &given.estimate)).collect();
     let healthy: Vec<&seepd_model::RelativeEstimate> =
         results.iter().filter(|(truth, _)| *truth == 0.0).map(|(_, given)| given).collect();
     let count = healthy.len().max(1) as f64;
-    let large = estimates.iter().filter(|(truth, _)| *truth >= one_lpm_m2);
+    let large = cases.iter().filter(|case| case.truth_m2 >= one_lpm_m2);
     RelativeAccuracy {
         noise,
-        median_error_above_1_lpm: median(large.map(|(truth, e)| (e.value - truth).abs() / truth).collect()),
-        coverage: crate::report::coverage(
-            estimates.iter().filter(|(truth, _)| *truth >= dataset::LEAK_RANGE_M2.0),
-        ),
-        decades: crate::report::decades(&estimates),
+        median_error_above_1_lpm: median_relative_error(large),
+        coverage: coverage(cases.iter().filter(|case| case.truth_m2 >= dataset::LEAK_RANGE_M2.0)),
+        decades: decades(&cases),
         healthy_deviation_m2: (healthy.iter().map(|e| e.response_m2.powi(2)).sum::<f64>() / count).sqrt(),
         healthy_above_0: healthy.iter().filter(|e| e.estimate.interval[0] > 0.0).count() as f64 / count,
         novel: results.iter().filter(|(_, given)| given.novelty > 1.0).count() as f64

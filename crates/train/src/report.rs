@@ -3,11 +3,14 @@
 use rayon::prelude::*;
 use seepd_features::Kalman;
 use seepd_model::Model;
+use seepd_model::accuracy::{
+    Decade, Judged, coverage, decades, in_main_range, mean_absolute_error, r_squared,
+};
 use seepd_model::schema::Transform;
 use seepd_sim::noise::Noise;
 use serde::Serialize;
 
-use crate::dataset::{self, LEAK_RANGE_M2, Observation, Reading};
+use crate::dataset::{self, Observation, Reading};
 use crate::forest::{Forest, Growth, predict};
 use crate::train::{ARTICLE_NOISE, Case, Features, Settings, grow_like, noise_of};
 
@@ -32,19 +35,6 @@ pub struct Accuracy {
     /// Largest estimate of a machine without a leak, m².
     pub largest_healthy_m2: f64,
     /// Share of machines in the main range whose truth lies within the 90 % interval.
-    pub coverage: f64,
-}
-
-/// A range of areas.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Decade {
-    /// Lower end, m².
-    pub from_m2: f64,
-    /// Upper end, m².
-    pub to_m2: f64,
-    /// Median of |estimate − truth| / truth.
-    pub median_relative_error: f64,
-    /// Share of machines whose truth lies within the 90 % interval.
     pub coverage: f64,
 }
 
@@ -118,65 +108,36 @@ pub(crate) fn read_at_each_noise<const LEVELS: usize>(
     })
 }
 
-fn in_main_range(area_m2: f64) -> bool {
-    (LEAK_RANGE_M2.0..=LEAK_RANGE_M2.1).contains(&area_m2)
-}
-
 fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accuracy {
-    let estimates: Vec<(f64, seepd_model::Estimate)> = subject
+    let cases: Vec<Judged> = subject
         .observations
         .iter()
         .zip(readings)
         .filter_map(|(observation, reading)| {
-            Some((
-                observation.leak_area_m2,
-                subject.model.estimate_at(reading[0][level].as_ref()?, NOISE_LEVELS[level]),
-            ))
+            let estimate = subject.model.estimate_at(reading[0][level].as_ref()?, NOISE_LEVELS[level]);
+            Some(Judged::new(observation.leak_area_m2, &estimate))
         })
         .collect();
-    let main: Vec<_> = estimates.iter().filter(|(truth, _)| in_main_range(*truth)).copied().collect();
+    let main: Vec<Judged> = cases.iter().filter(|case| in_main_range(case.truth_m2)).copied().collect();
     let transform = subject.model.file().transform;
     let pairs = |map: &dyn Fn(f64) -> f64| -> Vec<(f64, f64)> {
-        main.iter().map(|(truth, estimate)| (map(*truth), map(estimate.value))).collect()
+        main.iter().map(|case| (map(case.truth_m2), map(case.estimate_m2))).collect()
     };
     let decades = decades(&main);
     Accuracy {
         noise: NOISE_LEVELS[level],
-        machines: estimates.len(),
+        machines: cases.len(),
         r2_area: r_squared(&pairs(&|area| area)),
         r2_transformed: r_squared(&pairs(&|area| transform.forward(area))),
         mean_absolute_error_m2: mean_absolute_error(&pairs(&|area| area)),
         decades,
-        largest_healthy_m2: estimates
+        largest_healthy_m2: cases
             .iter()
-            .filter(|(truth, _)| *truth == 0.0)
-            .map(|(_, e)| e.value)
+            .filter(|case| case.truth_m2 == 0.0)
+            .map(|case| case.estimate_m2)
             .fold(0.0, f64::max),
         coverage: coverage(main.iter()),
     }
-}
-
-/// Share of (truth, estimate) whose interval holds the truth.
-pub(crate) fn coverage<'e>(cases: impl Iterator<Item = &'e (f64, seepd_model::Estimate)>) -> f64 {
-    let (mut inside, mut count) = (0.0, 0.0);
-    for (truth, estimate) in cases {
-        inside += f64::from(u8::from((estimate.interval[0]..=estimate.interval[1]).contains(truth)));
-        count += 1.0;
-    }
-    inside / f64::max(count, 1.0)
-}
-
-/// Error and coverage by decade of the truth.
-pub(crate) fn decades(cases: &[(f64, seepd_model::Estimate)]) -> Vec<Decade> {
-    [(5e-8, 1e-7), (1e-7, 1e-6), (1e-6, 1e-5)]
-        .map(|(from_m2, to_m2)| {
-            let cases: Vec<_> =
-                cases.iter().filter(|(truth, _)| (from_m2..to_m2).contains(truth)).copied().collect();
-            let errors =
-                cases.iter().map(|(truth, estimate)| (estimate.value - truth).abs() / truth).collect();
-            Decade { from_m2, to_m2, median_relative_error: median(errors), coverage: coverage(cases.iter()) }
-        })
-        .to_vec()
 }
 
 fn noise_table(subject: &Subject<'_>, readings: &[Readings]) -> Vec<NoiseLine> {
@@ -260,22 +221,4 @@ pub(crate) fn relative_change(pairs: &[(f64, f64)]) -> f64 {
     let high = pairs.iter().map(|pair| pair.0).fold(f64::NEG_INFINITY, f64::max);
     let square = pairs.iter().map(|(a, b)| (a - b).powi(2)).sum::<f64>() / pairs.len().max(1) as f64;
     square.sqrt() / (high - low)
-}
-
-/// Coefficient of determination of (truth, estimate) pairs.
-pub fn r_squared(pairs: &[(f64, f64)]) -> f64 {
-    let mean = pairs.iter().map(|pair| pair.0).sum::<f64>() / pairs.len() as f64;
-    let residual: f64 = pairs.iter().map(|(truth, estimate)| (truth - estimate).powi(2)).sum();
-    let total: f64 = pairs.iter().map(|(truth, _)| (truth - mean).powi(2)).sum();
-    1.0 - residual / total
-}
-
-fn mean_absolute_error(pairs: &[(f64, f64)]) -> f64 {
-    pairs.iter().map(|(truth, estimate)| (truth - estimate).abs()).sum::<f64>() / pairs.len() as f64
-}
-
-/// The middle value; not a number for none.
-pub fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
 }

@@ -7,8 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use seepd_model::Model;
 
-use super::reading::ReadingArguments;
-use super::replay::check_cycles;
+use super::reading::{ReadingArguments, check_cycles};
 use crate::baseline::{Baseline, BaselineFile, MOST_CYCLES};
 use crate::cli::Outcome;
 use crate::config::Config;
@@ -109,6 +108,7 @@ fn learn(
         Ok(())
     })?;
     pipeline.finish(&mut |_| ());
+    bar.finish_and_clear();
     notes.iter().for_each(|note| warn(note));
     match (pipeline.baseline(), pipeline.learner()) {
         (Some(baseline), _) => Ok(baseline.clone()),

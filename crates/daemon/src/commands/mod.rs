@@ -5,6 +5,7 @@ pub mod blind;
 pub mod check;
 #[cfg(feature = "simulate")]
 pub mod demo;
+pub mod evaluate;
 #[cfg(feature = "gap")]
 pub mod gap;
 #[cfg(feature = "live")]

@@ -1,12 +1,14 @@
-//! Where a command that reads logs finds the signals and the model.
+//! Where a command that reads logs finds the signals, the model and the baseline.
 
 use std::path::PathBuf;
 
 use clap::Args;
 use seepd_model::Model;
 
+use crate::baseline::{BaselineFile, LEAST_CYCLES, MOST_CYCLES, relative_of};
 use crate::config::{Config, Selection, load_model};
-use crate::failure::Failure;
+use crate::failure::{Code, Failure};
+use crate::pipeline::Pipeline;
 
 /// The arguments that such commands share.
 #[derive(Debug, Args)]
@@ -43,4 +45,49 @@ impl ReadingArguments {
         };
         Ok((config, model))
     }
+}
+
+/// What a command's estimates are relative to.
+#[derive(Debug, Args)]
+pub struct BaselineArguments {
+    /// Baseline of the machine, from `learn-baseline`: estimates are then relative to it
+    #[arg(long, value_name = "FILE", conflicts_with = "learn_cycles")]
+    baseline: Option<PathBuf>,
+    /// Learn the baseline from the first N cycles, and compare the rest with it
+    #[arg(long, value_name = "N")]
+    learn_cycles: Option<usize>,
+}
+
+impl BaselineArguments {
+    /// Takes the baseline that command line or configuration name.
+    ///
+    /// # Errors
+    /// [`Failure`] of the file, or of the count of cycles.
+    pub fn apply(&self, pipeline: &mut Pipeline<'_>, config: &Config, model: &Model) -> Result<(), Failure> {
+        if let Some(cycles) = self.learn_cycles {
+            check_cycles("--learn-cycles", cycles)?;
+            relative_of(model).map_err(|what| Failure::new(Code::Configuration, what))?;
+            pipeline.learn("first cycles", cycles);
+        } else if let Some(path) = self.baseline.as_ref().or(config.baseline.file.as_ref()) {
+            let file = BaselineFile::read(path, model)?;
+            let Some(baseline) = file.newest() else {
+                return Err(Failure::configuration(path, "has no baseline; see seepd learn-baseline"));
+            };
+            pipeline.follow(baseline.clone());
+        }
+        Ok(())
+    }
+}
+
+/// Checks how many cycles a baseline is to have.
+///
+/// # Errors
+/// [`Failure`] that names the option.
+pub fn check_cycles(option: &str, cycles: usize) -> Result<(), Failure> {
+    if (LEAST_CYCLES..=MOST_CYCLES).contains(&cycles) {
+        return Ok(());
+    }
+    let text =
+        format!("{option} is {cycles}; a baseline has {LEAST_CYCLES} … {MOST_CYCLES} cycles, 50 are good");
+    Err(Failure::new(Code::Usage, text))
 }

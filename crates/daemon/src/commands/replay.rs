@@ -7,10 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use indicatif::ProgressBar;
 
-use seepd_model::Model;
-
-use super::reading::ReadingArguments;
-use crate::baseline::{BaselineFile, LEAST_CYCLES, MOST_CYCLES, relative_of};
+use super::reading::{BaselineArguments, ReadingArguments};
 use crate::cli::Outcome;
 use crate::config::Config;
 use crate::event::{Event, Flag, Summary};
@@ -42,12 +39,8 @@ pub struct ReplayArguments {
     logs: Vec<PathBuf>,
     #[command(flatten)]
     reading: ReadingArguments,
-    /// Baseline of the machine, from `learn-baseline`: estimates are then relative to it
-    #[arg(long, value_name = "FILE", conflicts_with = "learn_cycles")]
-    baseline: Option<PathBuf>,
-    /// Learn the baseline from the first N cycles, and compare the rest with it
-    #[arg(long, value_name = "N")]
-    learn_cycles: Option<usize>,
+    #[command(flatten)]
+    baseline: BaselineArguments,
     /// Print JSON lines: a line a cycle, then the summary
     #[arg(long)]
     json: bool,
@@ -96,7 +89,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     }
     let projections = model.projections();
     let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &model, &projections));
-    commission(&mut pipeline, arguments, &config, &model)?;
+    arguments.baseline.apply(&mut pipeline, &config, &model)?;
     let create =
         |path: &Path| File::create(path).map(BufWriter::new).map_err(|error| Failure::writing(path, error));
     let mut files = Files::default();
@@ -141,40 +134,6 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     }
     let fault = summary.highest_flag >= Flag::Watch;
     Ok(if arguments.fail_on_fault && fault { Outcome::Finding } else { Outcome::Good })
-}
-
-/// Takes the baseline that command line or configuration name.
-fn commission(
-    pipeline: &mut Pipeline<'_>,
-    arguments: &ReplayArguments,
-    config: &Config,
-    model: &Model,
-) -> Result<(), Failure> {
-    if let Some(cycles) = arguments.learn_cycles {
-        check_cycles("--learn-cycles", cycles)?;
-        relative_of(model).map_err(|what| Failure::new(Code::Configuration, what))?;
-        pipeline.learn("first cycles", cycles);
-    } else if let Some(path) = arguments.baseline.as_ref().or(config.baseline.file.as_ref()) {
-        let file = BaselineFile::read(path, model)?;
-        let Some(baseline) = file.newest() else {
-            return Err(Failure::configuration(path, "has no baseline; see seepd learn-baseline"));
-        };
-        pipeline.follow(baseline.clone());
-    }
-    Ok(())
-}
-
-/// Checks how many cycles a baseline is to have.
-///
-/// # Errors
-/// [`Failure`] that names the option.
-pub fn check_cycles(option: &str, cycles: usize) -> Result<(), Failure> {
-    if (LEAST_CYCLES..=MOST_CYCLES).contains(&cycles) {
-        return Ok(());
-    }
-    let text =
-        format!("{option} is {cycles}; a baseline has {LEAST_CYCLES} … {MOST_CYCLES} cycles, 50 are good");
-    Err(Failure::new(Code::Usage, text))
 }
 
 fn replay_logs(

@@ -74,7 +74,8 @@ pub struct Selection {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SignalMapping {
-    /// Topic, or the interface in a CAN log; empty: as if no mapping were given.
+    /// Topic, or the interface in a CAN log; empty: as if no mapping were given. In MCAP logs `*/ending` is the one topic that
+    /// ends so.
     pub topic: String,
     /// Path of the field in the message, such as `axis.valve.command` or `data[3]`; a CSV file's column; a DBC file's
     /// signal, as `Signal` or `Message.Signal`. Empty: the signal's name.

@@ -3,6 +3,7 @@
 pub mod chart;
 #[cfg(feature = "simulate")]
 pub mod demo;
+pub mod evaluation;
 pub mod flags;
 #[cfg(feature = "gap")]
 pub mod gap;

@@ -3,6 +3,7 @@
 #[cfg(feature = "live")]
 pub mod can;
 pub mod csv;
+pub mod evaluation;
 pub mod html;
 #[cfg(feature = "live")]
 pub mod http;

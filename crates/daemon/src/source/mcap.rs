@@ -15,6 +15,12 @@ use crate::failure::{Code, Failure};
 
 /// Ending of the topics that are read when no mapping names one.
 const DEFAULT_TOPIC_ENDING: &str = "/signals";
+
+/// The ending of a mapping's topics, where it does not name one.
+fn topic_ending(mapping: &SignalMapping) -> Option<&str> {
+    if mapping.topic.is_empty() { Some(DEFAULT_TOPIC_ENDING) } else { mapping.topic.strip_prefix('*') }
+}
+
 /// Message header: channel, sequence, log time, publish time.
 pub(crate) const MESSAGE_HEADER_BYTES: usize = 2 + 4 + 8 + 8;
 
@@ -78,16 +84,12 @@ impl<R: Read + Seek> McapSource<R> {
             return Ok(());
         }
         let wanted = |mapping: &&(Signal, SignalMapping)| {
-            if mapping.1.topic.is_empty() {
-                topic.ends_with(DEFAULT_TOPIC_ENDING)
-            } else {
-                mapping.1.topic == topic
-            }
+            topic_ending(&mapping.1).map_or(mapping.1.topic == topic, |ending| topic.ends_with(ending))
         };
         let mappings: Vec<_> = self.mapping.iter().filter(wanted).collect();
-        let default = mappings.iter().any(|mapping| mapping.1.topic.is_empty());
+        let by_ending = mappings.iter().any(|mapping| topic_ending(&mapping.1).is_some());
         let other =
-            self.channels.values().find(|other| default && other.wanted.is_some() && other.topic != topic);
+            self.channels.values().find(|other| by_ending && other.wanted.is_some() && other.topic != topic);
         if let Some(other) = other {
             return Err(Failure::data(format!(
                 "{}: holds several axes, {} and {topic}; choose one with --topic",
@@ -119,8 +121,10 @@ impl<R: Read + Seek> McapSource<R> {
         let command =
             self.mapping.iter().find(|(signal, _)| *signal == Signal::Command).map(|(_, mapping)| mapping);
         let wanted = match command {
-            Some(m) if !m.topic.is_empty() => format!("`{}` on topic {}", m.field, m.topic),
-            Some(m) => format!("`{}` on a topic that ends in {DEFAULT_TOPIC_ENDING}", m.field),
+            Some(m) => match topic_ending(m) {
+                Some(ending) => format!("`{}` on a topic that ends in {ending}", m.field),
+                None => format!("`{}` on topic {}", m.field, m.topic),
+            },
             None => "a command: the mapping has none".into(),
         };
         let damage = self.file.damage.notes().join("; ");

@@ -29,7 +29,6 @@ pub fn each_sample(
         notes.extend(source.notes());
         notes.extend(clock.note(&path.display().to_string()));
     }
-    bar.finish_and_clear();
     Ok(notes)
 }
 

@@ -1,0 +1,220 @@
+//! `seepd evaluate`: what estimates and flags are worth on logs that know the truth.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use clap::{Args, ValueEnum};
+use indicatif::ProgressBar;
+use seepd_signals::Signal;
+
+use super::reading::{BaselineArguments, ReadingArguments};
+use crate::cli::Outcome;
+use crate::config::{Config, Selection, SignalMapping};
+use crate::evaluation::record::MachineRecord;
+use crate::evaluation::{Conditions, Evaluation};
+use crate::failure::{Code, Failure};
+use crate::html::evaluation::EvaluationPage;
+use crate::pipeline::{Pipeline, PipelineConfig};
+use crate::progress::{byte_bar, warn};
+use crate::sink::evaluation::write_tables;
+use crate::sink::terminal::print;
+use crate::source::record;
+
+/// Compares estimates and flags with the truth that logs hold: errors, coverage, delay, false alarms, receiver operating curve.
+///
+/// Each log is a machine's record of its own. The truth is the leak's area, from a simulator or a flow meter; the estimates never
+/// see it. Simulated logs hold it on /axis/truth.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  seepd evaluate press-*.mcap\n  \
+                        seepd evaluate --learn-cycles 50 --html evaluation.html press-*.mcap\n  \
+                        seepd evaluate --truth leak_lpm --truth-unit lpm --json rig.csv")]
+pub struct EvaluateArguments {
+    /// Logs: MCAP, CSV or candump
+    #[arg(required = true, value_name = "LOG")]
+    logs: Vec<PathBuf>,
+    #[command(flatten)]
+    reading: ReadingArguments,
+    #[command(flatten)]
+    baseline: BaselineArguments,
+    /// The logs are one machine's record, one after the other
+    #[arg(long)]
+    one_machine: bool,
+    /// Field, column or DBC signal of the truth
+    #[arg(long, value_name = "FIELD", num_args = 0..=1, default_value = "leak_area", default_missing_value = "leak_area")]
+    truth: String,
+    /// Topic of the truth [default: /axis/truth beside /axis/signals]
+    #[arg(long, value_name = "TOPIC")]
+    truth_topic: Option<String>,
+    /// Unit of the truth
+    #[arg(long, value_enum, default_value_t = TruthUnit::M2)]
+    truth_unit: TruthUnit,
+    /// A machine leaks from this flow on, L/min at the reference pressure difference
+    #[arg(long, value_name = "LPM", default_value_t = 0.005)]
+    onset_lpm: f64,
+    /// A leak is to be found within so many cycles
+    #[arg(long, value_name = "N", default_value_t = 30)]
+    within_cycles: usize,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+    /// Write the tables and curves as one HTML page
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+}
+
+/// How the truth is given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum TruthUnit {
+    /// Area, m²
+    M2,
+    /// Area, mm²
+    Mm2,
+    /// Flow at the reference pressure difference, L/min
+    Lpm,
+}
+
+impl TruthUnit {
+    fn in_m2(self, lpm_per_m2: f64) -> f64 {
+        match self {
+            TruthUnit::M2 => 1.0,
+            TruthUnit::Mm2 => 1e-6,
+            TruthUnit::Lpm => 1.0 / lpm_per_m2,
+        }
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure`] for arguments, configuration, logs, missing truth or output.
+pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
+    if !(arguments.onset_lpm.is_finite() && arguments.onset_lpm >= 0.0) {
+        return Err(Failure::new(
+            Code::Usage,
+            format!("--onset-lpm is {}; it must be 0 or more", arguments.onset_lpm),
+        ));
+    }
+    if arguments.within_cycles == 0 {
+        return Err(Failure::new(Code::Usage, "--within-cycles is 0; it must be 1 or more"));
+    }
+    let (config, model) = arguments.reading.load()?;
+    let projections = model.projections();
+    let pipeline_config = PipelineConfig::new(&config, &model, &projections);
+    let conditions = Conditions {
+        reference_dp_pa: config.reference_dp_pa,
+        lpm_per_m2: pipeline_config.flow_lpm(1.0),
+        onset_lpm: arguments.onset_lpm,
+        within_cycles: arguments.within_cycles,
+    };
+    let machines: Vec<&[PathBuf]> =
+        if arguments.one_machine { vec![&arguments.logs] } else { arguments.logs.chunks(1).collect() };
+    let bytes = arguments.logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len());
+    // Each log is read twice.
+    let bar = byte_bar(2 * bytes.sum::<u64>(), "evaluating");
+    let mut records = Vec::with_capacity(machines.len());
+    for logs in machines {
+        let mut pipeline = Pipeline::new(pipeline_config);
+        arguments.baseline.apply(&mut pipeline, &config, &model)?;
+        let mut record = estimate(logs, &config, &mut pipeline, &bar)?;
+        lay_truth_beside(&mut record, logs, arguments, &config, &conditions, &bar)?;
+        records.push(record);
+    }
+    bar.finish_and_clear();
+    let evaluation = Evaluation::of(&records, conditions);
+    if evaluation.sizes.is_empty() {
+        return Err(nothing_to_judge(&evaluation));
+    }
+    if evaluation.without_truth > 0 {
+        warn(&format!(
+            "{} of {} cycles have no truth beside them; they are in none of the figures",
+            evaluation.without_truth, evaluation.cycles
+        ));
+    }
+    if let Some(path) = &arguments.html {
+        fs::write(path, EvaluationPage { evaluation: &evaluation }.render())
+            .map_err(|error| Failure::writing(path, error))?;
+    }
+    let mut text = Vec::new();
+    let written = if arguments.json {
+        serde_json::to_writer(&mut text, &evaluation).map_err(io::Error::from).and_then(|()| writeln!(text))
+    } else {
+        write_tables(&mut text, &evaluation)
+    };
+    written.map_err(|error| Failure::writing(Path::new("standard output"), error))?;
+    print(&text)?;
+    Ok(Outcome::Good)
+}
+
+/// First pass: cycles and what is said of them.
+fn estimate(
+    logs: &[PathBuf],
+    config: &Config,
+    pipeline: &mut Pipeline<'_>,
+    bar: &ProgressBar,
+) -> Result<MachineRecord, Failure> {
+    let name = logs.first().map(|log| log.display().to_string()).unwrap_or_default();
+    let mut record = MachineRecord::new(name);
+    let notes = record::each_sample(logs, config, bar, |sample| {
+        pipeline.push(sample, &mut |event| record.take(event));
+        Ok(())
+    })?;
+    pipeline.finish(&mut |event| record.take(event));
+    notes.iter().for_each(|note| warn(note));
+    Ok(record)
+}
+
+/// Second pass: the truth, read as the command was before, so that every source gives it.
+fn lay_truth_beside(
+    record: &mut MachineRecord,
+    logs: &[PathBuf],
+    arguments: &EvaluateArguments,
+    config: &Config,
+    conditions: &Conditions,
+    bar: &ProgressBar,
+) -> Result<(), Failure> {
+    let mapping = SignalMapping {
+        topic: arguments.truth_topic.clone().unwrap_or_else(|| truth_topic(config)),
+        field: arguments.truth.clone(),
+        scale: arguments.truth_unit.in_m2(conditions.lpm_per_m2),
+        ..SignalMapping::default()
+    };
+    let config = Config {
+        signals: BTreeMap::from([(Signal::Command, mapping)]),
+        selection: Selection::default(),
+        ..config.clone()
+    };
+    record::each_sample(logs, &config, bar, |sample| {
+        if let Some(area_m2) = sample.get(Signal::Command) {
+            record.take_truth(sample.time_ns, area_m2);
+        }
+        Ok(())
+    })
+    .map(drop)
+    .map_err(|failure| {
+        let text = format!("{}; name the truth with --truth and --truth-topic", failure.message);
+        Failure::new(failure.code, text)
+    })
+}
+
+/// Where the truth of the signals' axis is.
+fn truth_topic(config: &Config) -> String {
+    let named = config.mapping().into_iter().find(|(signal, _)| *signal == Signal::Command);
+    let axis = named.and_then(|(_, mapping)| Some(mapping.topic.strip_suffix("/signals")?.to_owned()));
+    format!("{}/truth", axis.unwrap_or_else(|| "*".into()))
+}
+
+fn nothing_to_judge(evaluation: &Evaluation) -> Failure {
+    let Evaluation { cycles, without_truth, rejected, .. } = evaluation;
+    let why = if *cycles == 0 {
+        "no cycle was found in the logs".to_owned()
+    } else if without_truth == cycles {
+        format!("no truth lies within any of the {cycles} cycles: is its time the signals' time?")
+    } else {
+        let reasons: Vec<String> =
+            rejected.iter().map(|(reason, count)| format!("{reason} {count}")).collect();
+        format!("none of the {cycles} cycles has an estimate ({})", reasons.join(", "))
+    };
+    Failure::data(format!("nothing to evaluate: {why}"))
+}
