@@ -30,6 +30,9 @@ BO_ 513 AxisStatus: 8 PLC
  SG_ ValveCommand : 15|24@0- (0.0002,0) [-100|100] "%" Vector__XXX
  SG_ PositionDemand : 39|32@0- (0.00001,0) [0|1000] "mm" Vector__XXX
 
+BO_ 514 AxisCycle: 1 PLC
+ SG_ CycleStart : 3|1@1+ (1,0) [0|1] "" Vector__XXX
+
 BO_ 2566849025 AxisLoad: 12 PLC
  SG_ Page M : 0|8@1+ (1,0) [0|255] "" Vector__XXX
  SG_ LoadForce m1 : 32|32@1- (1,0) [0|0] "N" Vector__XXX
@@ -41,7 +44,10 @@ fn text_of(path: &Path) -> &str {
     path.to_str().unwrap()
 }
 
-/// The log of a simulated machine as frames, a status and a load frame a millisecond.
+/// The controller tells a cycle's start so many samples after it.
+const LATE: usize = 7;
+
+/// The log of a simulated machine as frames: a load, a start-of-cycle and a status frame a millisecond.
 fn candump_of(csv_rows: &[[f64; 4]]) -> String {
     let mut log = String::new();
     for (number, [time_s, command, demand, load]) in csv_rows.iter().enumerate() {
@@ -54,6 +60,8 @@ fn candump_of(csv_rows: &[[f64; 4]]) -> String {
         load_frame[0] = 1;
         load_frame[4..8].copy_from_slice(&(*load as f32).to_le_bytes());
         writeln!(log, "{stamp} can0 18FF0001##1{}", hex(&load_frame)).unwrap();
+        let start = if (number + 10_000 - LATE) % 10_000 < 50 { 0x08 } else { 0x00 };
+        writeln!(log, "{stamp} can0 202#{}", hex(&[start])).unwrap();
         writeln!(log, "{stamp} can0 201#{}", hex(&status)).unwrap();
         // The same identifier on another bus, and frames without data: none of them is the command.
         if number % 50 == 0 {
@@ -172,6 +180,31 @@ fn candump_gives_the_estimates_of_the_log_that_it_was_made_of() {
     }
     assert_eq!(summary(&can)["samples"], summary(&mcap)["samples"]);
     stdout(&seepd(["check", text_of(&config)]));
+}
+
+/// A bit that rises says where a cycle begins, to the sample; it goes before the demand, and before what the strokes say.
+#[test]
+fn a_start_of_cycle_bit_tells_the_start() {
+    let logs = logs();
+    let config = logs.folder.path().join("seepd.toml");
+    let command =
+        "dbc = \"press.dbc\"\n[signals.command]\ntopic = \"can0\"\nfield = \"ValveCommand\"\nscale = 0.01\n";
+    let demand = "[signals.demand]\nfield = \"PositionDemand\"\nscale = 0.001\n";
+    let bit = "[signals.cycle_start]\nfield = \"AxisCycle.CycleStart\"\n";
+    let starts = |text: String| -> Vec<f64> {
+        fs::write(&config, text).unwrap();
+        let lines = replay(&logs.candump, &["--config", text_of(&config)]);
+        assert_eq!(estimates(&lines).len(), 4);
+        lines.iter().filter_map(|line| line["t_start_s"].as_f64()).collect()
+    };
+    // The first cycle begins with the log: its rise was before it.
+    for cycle in 1..4 {
+        let at_s = |late: usize| 10.0 * cycle as f64 + late as f64 / 1000.0;
+        let near = |found: f64, wanted: f64| (found - wanted).abs() < 0.5e-3;
+        assert!(near(starts(format!("{command}{demand}{bit}"))[cycle], at_s(LATE)));
+        assert!(near(starts(format!("{command}{bit}"))[cycle], at_s(LATE)));
+        assert!(near(starts(format!("{command}{demand}"))[cycle], at_s(0)));
+    }
 }
 
 #[test]

@@ -948,16 +948,19 @@ fn load_of_a_thousand_frames_a_second_with_all_sinks() {
     let seconds = 90;
     thread::sleep(Duration::from_secs(5));
     let (begin, cpu_before) = (Instant::now(), daemon.cpu_s());
+    let mut largest_delay_s: f64 = 0.0;
     for _ in 0..seconds / 5 {
         thread::sleep(Duration::from_secs(5));
         assert_eq!(ask(port, "GET", "/metrics", "").unwrap().code, 200);
+        // A cycle lasts ten seconds: none is missed.
+        let delay_s = axis_status(port).unwrap()["publication_delay_s"].as_f64();
+        largest_delay_s = largest_delay_s.max(delay_s.unwrap_or_default());
     }
     let share = (daemon.cpu_s() - cpu_before) / begin.elapsed().as_secs_f64();
     let status = axis_status(port).unwrap();
     println!(
-        "{:.2} % of a core, publication after {} s, resident {} kB (anonymous {} kB, largest {} kB), {} samples, {} cycles",
+        "{:.2} % of a core, publication after {largest_delay_s} s at most, resident {} kB (anonymous {} kB, largest {} kB), {} samples, {} cycles",
         100.0 * share,
-        status["publication_delay_s"],
         daemon.memory_kb("VmRSS"),
         daemon.memory_kb("RssAnon"),
         daemon.memory_kb("VmHWM"),
@@ -969,7 +972,7 @@ fn load_of_a_thousand_frames_a_second_with_all_sinks() {
     );
     // Twice what is aimed at (2 %, 12 MiB), as the machine may be busy and the build a test's.
     assert!(share < 0.04, "{share}");
-    assert!(status["publication_delay_s"].as_f64().unwrap() < 0.05);
+    assert!(largest_delay_s < 0.05);
     assert!(daemon.memory_kb("VmRSS") < 24 << 10);
     machine.stop();
 }

@@ -84,7 +84,7 @@ pub(crate) fn teach(lens: &Lens<'_>, spec: &MachineSpec, seed: u64) -> Result<[T
 }
 
 impl Taught {
-    fn estimate(&self, five: &[f64; 5]) -> f64 {
+    pub(crate) fn estimate(&self, five: &[f64; 5]) -> f64 {
         let sum: f64 = self.trees.iter().map(|tree| predict(tree, |k| five[k])).sum();
         sum / self.trees.len() as f64 / MM2_PER_M2
     }

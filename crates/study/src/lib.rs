@@ -3,13 +3,14 @@
 //!
 //! The article is "Characterization of Leakage Fault in Hydraulic Cylinders Leading to Sustainable Maintenance Planning of
 //! Equipment". [`cycles`] simulates, [`features`] reads the cycles with the monitor's own code, [`ensemble`] learns the article's way
-//! and compares it with the program's model, [`holding`] finds the largest leak that the controller holds,
-//! [`verdict`] says what agrees.
+//! and compares it with the program's model, [`limits`] finds the smallest leak that one cycle shows, [`holding`] the largest
+//! that the controller holds, [`verdict`] says what agrees.
 
 pub mod cycles;
 pub mod ensemble;
 pub mod features;
 pub mod holding;
+pub mod limits;
 pub mod verdict;
 
 use seepd_model::Model;
@@ -38,6 +39,8 @@ pub struct Study {
     pub noise: features::NoiseStudy,
     /// The article's ensemble against the program's.
     pub ensembles: ensemble::Comparison,
+    /// The smallest leak that one cycle shows.
+    pub limits: Vec<limits::Limit>,
     /// The largest leak that the controller holds.
     pub holding: holding::Holding,
     /// Whether each agrees with the article.
@@ -64,7 +67,7 @@ pub enum StudyError {
 }
 
 /// Steps of the study, for a progress bar.
-pub const STEPS: usize = 6;
+pub const STEPS: usize = 7;
 
 /// Makes the study for the nominal press with the model that the program brings; `tell` hears of each finished step.
 ///
@@ -89,11 +92,23 @@ pub fn run(model: &Model, seed: u64, tell: &mut dyn FnMut(usize)) -> Result<Stud
     step();
     let ensembles = ensemble::compare(&lens, &spec, &taught, seed)?;
     step();
+    let limits = limits::measure(&lens, &spec, &taught[0], seed)?;
+    step();
     let holding = holding::sweep(&spec);
     step();
     let schema = "seepd.study/1";
-    let mut study =
-        Study { schema, seed, cycles, leak_rates, features, noise, ensembles, holding, verdicts: Vec::new() };
+    let mut study = Study {
+        schema,
+        seed,
+        cycles,
+        leak_rates,
+        features,
+        noise,
+        ensembles,
+        limits,
+        holding,
+        verdicts: Vec::new(),
+    };
     study.verdicts = verdict::verdicts(&study);
     Ok(study)
 }

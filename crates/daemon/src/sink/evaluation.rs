@@ -95,7 +95,7 @@ fn write_detection(out: &mut impl Write, detection: &Detection, evaluation: &Eva
 pub(crate) fn false_alarms(detection: &Detection) -> String {
     let Detection { healthy_cycles, false_alarms, raised_before, .. } = detection;
     let mut text = format!("{false_alarms} false alarms in {healthy_cycles} cycles without a leak");
-    if *false_alarms == 0 && *healthy_cycles > 0 {
+    if *false_alarms == 0 && *healthy_cycles >= 30 {
         // The rule of three: with 95 % confidence the rate is below 3 / n.
         text.push_str(&format!(" (with 95 % confidence less than one in {})", healthy_cycles / 3));
     }

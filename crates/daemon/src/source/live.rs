@@ -84,9 +84,6 @@ pub enum LiveSource {
     Log(Box<PlayedLog>),
 }
 
-/// Frames that the kernel may hold back so that several are read at one waking.
-const NAP: Duration = Duration::from_millis(2);
-
 impl LiveSource {
     /// Opens an axis's source, for a model of a rate, Hz. A bus that is not there yet is no error.
     ///
@@ -109,13 +106,7 @@ impl LiveSource {
     /// Waits for input and appends what came to `samples`. May be dropped at any await without loss.
     pub async fn read(&mut self, samples: &mut Vec<Sample>) -> Input {
         match self {
-            LiveSource::Can(can) => {
-                let input = can.read(samples).await;
-                if input == Input::Samples {
-                    tokio::time::sleep(NAP).await;
-                }
-                input
-            }
+            LiveSource::Can(can) => can.read(samples).await,
             LiveSource::Log(log) => log.read(samples).await,
         }
     }

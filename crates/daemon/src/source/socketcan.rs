@@ -15,7 +15,6 @@ use nix::sys::socket::{ControlMessageOwned, MsgFlags, recvmsg, setsockopt, socko
 use nix::sys::time::TimeSpec;
 use seepd_signals::Sample;
 use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
-use tokio::io::Interest;
 use tokio::net::UnixDatagram;
 
 use super::frame_decoder;
@@ -28,6 +27,10 @@ use crate::live::clock::{Clock, Stamps};
 
 /// Longest wait before the caller hears that nothing has come.
 const IDLE: Duration = Duration::from_millis(250);
+/// On a busy bus the kernel gathers frames for so long: waking for each one costs more than reading it.
+const NAP: Duration = Duration::from_millis(2);
+/// A bus is busy until so many naps brought nothing.
+const EMPTY_NAPS: u32 = 10;
 /// Wait before an interface that is not there is looked for again.
 const RETRY: Duration = Duration::from_millis(500);
 /// Frames that are read at one waking.
@@ -88,7 +91,11 @@ impl CanSource {
         if port.more {
             return self.drain(samples);
         }
-        match tokio::time::timeout(IDLE, port.socket.readable()).await {
+        if port.empty_naps < EMPTY_NAPS {
+            tokio::time::sleep(NAP).await;
+            return self.drain(samples);
+        }
+        match tokio::time::timeout(IDLE, port.readable()).await {
             Err(_) => {
                 // An interface that goes away wakes nobody who waits for frames.
                 if let Ok(Some(error)) = port.socket.take_error() {
@@ -115,6 +122,7 @@ impl CanSource {
         let Some(port) = &mut self.port else { return Input::Idle };
         port.stamps.look(&self.clock);
         port.more = true;
+        let frames_before = self.health.frames;
         for _ in 0..AT_ONCE {
             match port.receive() {
                 Ok(Some((frame, stamp_ns))) => {
@@ -137,6 +145,8 @@ impl CanSource {
                 }
             }
         }
+        let nothing = self.health.frames == frames_before;
+        port.empty_naps = if nothing { port.empty_naps.saturating_add(1) } else { 0 };
         self.health.dropped_in_socket = self.dropped_before + u64::from(port.dropped);
         if samples.len() == before {
             return Input::Idle;
@@ -197,14 +207,17 @@ fn is_up(place: &str) -> bool {
 
 /// A socket that gives frames.
 pub(crate) struct FramePort {
-    /// The runtime waits for datagrams on it; that it is a Unix socket's type matters to nothing that is used here.
-    socket: UnixDatagram,
+    /// Known to the runtime only while it waits on a quiet bus: on a busy one it would wake for each frame. That it is a Unix
+    /// socket's type matters to nothing that is used here.
+    socket: net::UnixDatagram,
     /// Interface of the frames, for mappings that name one.
     interface: String,
     control: Vec<u8>,
     stamps: Stamps,
     /// Whether the last reading stopped before the end.
     more: bool,
+    /// Looks in a row that found nothing.
+    empty_naps: u32,
     /// Frames that the kernel has dropped since the socket was opened.
     dropped: u32,
 }
@@ -242,13 +255,19 @@ impl FramePort {
         let _ = setsockopt(&fd, sockopt::ReceiveTimestampns, &true);
         let _ = setsockopt(&fd, sockopt::RxqOvfl, &1);
         Ok(FramePort {
-            socket: UnixDatagram::from_std(net::UnixDatagram::from(fd))?,
+            socket: net::UnixDatagram::from(fd),
             interface: place.to_owned(),
             control: cmsg_space!(TimeSpec, u32),
             stamps: Stamps::default(),
             more: false,
+            empty_naps: EMPTY_NAPS,
             dropped: 0,
         })
+    }
+
+    /// Waits until there is a frame.
+    async fn readable(&self) -> io::Result<()> {
+        UnixDatagram::from_std(self.socket.try_clone()?)?.readable().await
     }
 
     /// The next frame that is there, with its stamp; `None` where there is none.
@@ -257,17 +276,11 @@ impl FramePort {
         let mut bytes = [0u8; FD_BYTES];
         let mut parts = [IoSliceMut::new(&mut bytes)];
         let fd = self.socket.as_raw_fd();
-        let control = &mut self.control;
-        // Through the runtime, which has to know where there was nothing more.
-        let received = self.socket.try_io(Interest::READABLE, || {
-            recvmsg::<()>(fd, &mut parts, Some(control), MsgFlags::MSG_DONTWAIT).map_err(io::Error::from)
-        });
+        let received = recvmsg::<()>(fd, &mut parts, Some(&mut self.control), MsgFlags::MSG_DONTWAIT);
         let message = match received {
             Ok(message) => message,
-            Err(error) if matches!(error.kind(), io::ErrorKind::WouldBlock | io::ErrorKind::Interrupted) => {
-                return Ok(None);
-            }
-            Err(error) => return Err(error),
+            Err(Errno::EAGAIN | Errno::EINTR) => return Ok(None),
+            Err(error) => return Err(error.into()),
         };
         let size = message.bytes;
         let mut stamp_ns = None;
@@ -293,14 +306,14 @@ impl FramePort {
     ) -> io::Result<()> {
         let listening = async {
             loop {
-                self.socket.readable().await?;
+                self.readable().await?;
                 self.stamps.look(clock);
                 while let Some((frame, stamp_ns)) = self.receive()? {
                     if let Ok(frame) = frame {
                         take(&frame, self.stamps.time_ns(stamp_ns));
                     }
                 }
-                tokio::time::sleep(Duration::from_millis(2)).await;
+                tokio::time::sleep(NAP).await;
             }
         };
         tokio::time::timeout(time, listening).await.unwrap_or(Ok(()))
