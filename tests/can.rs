@@ -305,8 +305,8 @@ fn damaged_lines_and_short_frames_are_counted_and_the_rest_counts() {
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
     // In a hold of the third cycle: a few samples are bridged.
     let at = lines.iter().position(|line| line.contains("1700000020.2")).unwrap();
-    lines[at + 1] = lines[at + 1].replace("201#", "201#00 was ");
-    lines[at + 5] = "(1700000020.x) can0 201#".into();
+    lines[at + 2] = lines[at + 2].replace("201#", "201#00 was ");
+    lines[at + 8] = "(1700000020.x) can0 201#".into();
     let log = logs.folder.path().join("damaged.log");
     fs::write(&log, lines.join("\n")).unwrap();
     let arguments = ["--dbc", text_of(&logs.dbc), "--command", "ValveCommand", "--topic", "can0", "--json"];

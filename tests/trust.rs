@@ -74,6 +74,7 @@ fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool
         projections: &projections,
         alarm: &alarm,
         reference_dp_pa: 7e6,
+        operating_hours_per_year: 8760.0,
     };
     machines
         .par_chunks(LANES)

@@ -39,6 +39,7 @@ fn replay(bencher: divan::Bencher<'_, '_>, command_only: bool) {
         projections: &projections,
         alarm: &alarm,
         reference_dp_pa: config.reference_dp_pa,
+        operating_hours_per_year: config.operating_hours_per_year,
     };
     bencher.counter(ItemsCount::new(200_000usize)).bench_local(|| {
         let mut source =

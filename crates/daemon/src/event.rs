@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize, Serializer};
 
 use crate::baseline::trend::TimeTo;
 use crate::baseline::{Finding, LoadKnowledge};
+use crate::energy::Loss;
 
 /// L/min in a m³/s.
 pub const LPM_PER_M3_PER_S: f64 = 60_000.0;
@@ -229,6 +230,9 @@ pub struct Summary {
     pub leak_flow_lpm: Option<f64>,
     /// Reference pressure difference, Pa.
     pub reference_dp_pa: f64,
+    /// What it costs; its fields are absent where there is no estimate.
+    #[serde(flatten)]
+    pub loss: Option<Loss>,
     /// Highest flag reached.
     pub highest_flag: Flag,
     /// Length of the log, s.

@@ -9,6 +9,7 @@ pub mod can;
 pub mod cli;
 pub mod commands;
 pub mod config;
+pub mod energy;
 pub mod evaluation;
 pub mod event;
 pub mod failure;

@@ -11,6 +11,7 @@ use crate::alarm::{Alarm, AlarmConfig, Change};
 use crate::baseline::follower::Followed;
 use crate::baseline::{Baseline, Drift, Finding, Follower, Learner, LoadKnowledge};
 use crate::config::Config;
+use crate::energy::Loss;
 use crate::event::{
     ComparisonLine, CycleLine, Event, FeatureValues, Flag, FlagEvent, LPM_PER_M3_PER_S, Notice, NoticeKind,
     Summary,
@@ -29,6 +30,8 @@ pub struct PipelineConfig<'m> {
     pub alarm: &'m AlarmConfig,
     /// Pressure difference at which leaks are given as flows, Pa.
     pub reference_dp_pa: f64,
+    /// Hours that the machine runs in a year.
+    pub operating_hours_per_year: f64,
 }
 
 /// Rejections by reason, in [`Reason`](seepd_features::Reason)'s order of first appearance.
@@ -269,6 +272,7 @@ impl<'m> Pipeline<'m> {
             reason: progress.alarm.reason(),
             leak_area_m2: area,
             leak_flow_lpm: area.map(|area| self.config.flow_lpm(area)),
+            loss: area.map(|area| self.config.loss(self.config.flow_lpm(area))),
             reference_dp_pa: self.config.reference_dp_pa,
             highest_flag: progress.alarm.highest(),
             duration_s: progress
@@ -281,8 +285,14 @@ impl<'m> Pipeline<'m> {
 impl<'m> PipelineConfig<'m> {
     /// What an axis's configuration says; `projections` are the model's.
     pub fn new(config: &'m Config, model: &'m Model, projections: &'m [Projection<'m>]) -> Self {
-        let Config { axis, alarm, reference_dp_pa, .. } = config;
-        PipelineConfig { axis, model, projections, alarm, reference_dp_pa: *reference_dp_pa }
+        PipelineConfig {
+            axis: &config.axis,
+            model,
+            projections,
+            alarm: &config.alarm,
+            reference_dp_pa: config.reference_dp_pa,
+            operating_hours_per_year: config.operating_hours_per_year,
+        }
     }
 }
 
@@ -290,6 +300,11 @@ impl PipelineConfig<'_> {
     /// Flow of a leak at the reference pressure difference, L/min; counts the leak orifice only.
     pub fn flow_lpm(&self, area_m2: f64) -> f64 {
         self.model.leak_flow_m3_per_s(area_m2, self.reference_dp_pa) * LPM_PER_M3_PER_S
+    }
+
+    /// What a leak of that flow costs, L/min.
+    pub fn loss(&self, flow_lpm: f64) -> Loss {
+        Loss::of(flow_lpm, self.reference_dp_pa, self.operating_hours_per_year)
     }
 }
 

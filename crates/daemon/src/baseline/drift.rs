@@ -19,6 +19,17 @@ pub enum Finding {
     Improved,
 }
 
+impl Finding {
+    /// Its name in messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Finding::None => "none",
+            Finding::Leak => "leak",
+            Finding::Improved => "improved",
+        }
+    }
+}
+
 /// The sums, in standard deviations of the response.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Drift {

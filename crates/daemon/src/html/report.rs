@@ -6,7 +6,7 @@ use super::chart::{Axis, Chart, Layer, Size};
 use super::flags::{self, colour};
 use super::page;
 use crate::alarm::AlarmConfig;
-use crate::event::{Flag, LPM_PER_M3_PER_S, Summary};
+use crate::event::{Flag, Summary};
 use crate::sink::html::{Curves, HtmlSink, Point};
 
 /// What the page shows.
@@ -23,11 +23,6 @@ pub struct ReportPage<'a> {
     pub area_m2_per_lpm: f64,
     /// Hours that the machine runs in a year.
     pub operating_hours_per_year: f64,
-}
-
-/// Power that a leak of that flow turns into heat at a pressure difference, W: Δp · Q.
-fn power_w(flow_lpm: f64, pressure_difference_pa: f64) -> f64 {
-    flow_lpm / LPM_PER_M3_PER_S * pressure_difference_pa
 }
 
 /// Times before this are of a clock that began at the machine's start: no date.
@@ -112,13 +107,12 @@ impl ReportPage<'_> {
         let interval = self.points().last().map(|point| point.interval_m2);
         html! {
             div.tiles {
-                @if let (Some(area), Some(flow)) = (summary.leak_area_m2, summary.leak_flow_lpm) {
-                    @let power = power_w(flow, summary.reference_dp_pa);
+                @if let (Some(area), Some(flow), Some(loss)) = (summary.leak_area_m2, summary.leak_flow_lpm, summary.loss) {
                     div { b { (format!("{flow:.2} L/min")) } span { "leak at " (self.mpa()) " MPa (median of the last cycles)" } }
                     div { b { (format!("{area:.2e} m²")) } span { "leak area"
                         @if let Some([low, high]) = interval { (format!("; last cycle {low:.1e} … {high:.1e}")) } } }
-                    div { b { (format!("{power:.0} W")) } span { "hydraulic power lost, Δp · Q at " (self.mpa()) " MPa" } }
-                    div { b { (format!("{:.0} kWh a year", power * self.operating_hours_per_year / 1000.0)) }
+                    div { b { (format!("{:.0} W", loss.leak_power_w)) } span { "hydraulic power lost, Δp · Q at " (self.mpa()) " MPa" } }
+                    div { b { (format!("{:.0} kWh a year", loss.leak_energy_kwh_per_year)) }
                         span { "at " (self.operating_hours_per_year) " hours a year" } }
                 }
                 div { b { (summary.cycles) } span { "cycles with an estimate, " (rejected) " rejected" } }
@@ -344,12 +338,6 @@ fn duration_text(duration_s: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// 1 L/min at 6 MPa is 100 W, the hydraulic engineer's rule of thumb (p in bar times Q in L/min over 600 is kW).
-    #[test]
-    fn analytic_power_of_a_leak() {
-        assert!((power_w(1.0, 6e6) - 100.0).abs() < 1e-9);
-    }
 
     #[test]
     fn times_are_dates_where_the_clock_has_them() {

@@ -361,6 +361,7 @@ impl<'a> Desk<'a> {
                 leak_area_m2: estimate.map(|estimate| estimate.leak_area_m2),
                 interval90_m2: estimate.map(|estimate| estimate.interval90_m2),
                 leak_flow_lpm: estimate.map(|estimate| estimate.leak_flow_lpm),
+                loss: estimate.map(|estimate| pipeline.config().loss(estimate.leak_flow_lpm)),
                 time_to_leak_s: time_to_leak.map(|time| time.expected_s),
                 time_to_leak_range_s: time_to_leak.map(|time| [time.earliest_s, time.latest_s]),
                 baseline,

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::{mpsc, watch};
 
 use crate::baseline::Finding;
+use crate::energy::Loss;
 use crate::event::{Event, Flag, FlagEvent};
 use crate::live::clock;
 use crate::pipeline::Pipeline;
@@ -46,6 +47,9 @@ pub struct AxisStatus {
     pub leak_flow_lpm: Option<f64>,
     /// Reference pressure difference, Pa.
     pub reference_dp_pa: f64,
+    /// What it costs; its fields are absent where there is no estimate.
+    #[serde(flatten)]
+    pub loss: Option<Loss>,
     /// Projected time until the flag `leak`, s; null where nothing is projected.
     pub time_to_leak_s: Option<f64>,
     /// The shortest and the longest that the points so far admit, s.
@@ -86,6 +90,7 @@ impl AxisStatus {
             interval90_m2: None,
             leak_flow_lpm: None,
             reference_dp_pa,
+            loss: None,
             time_to_leak_s: None,
             time_to_leak_range_s: None,
             baseline: BaselineStatus::default(),

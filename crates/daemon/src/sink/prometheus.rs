@@ -9,6 +9,7 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 
+use crate::baseline::Finding;
 use crate::event::Flag;
 use crate::live::hub::{AxisStatus, SinkStatus};
 
@@ -27,6 +28,7 @@ pub fn text(axes: &[AxisStatus], sinks: &[SinkStatus]) -> Result<String, fmt::Er
     let mut registry = Registry::with_prefix("seepd");
     register_leak(&mut registry, axes);
     register_flags(&mut registry, axes);
+    register_baseline(&mut registry, axes);
     register_cycles(&mut registry, axes);
     register_source(&mut registry, axes);
     register_sinks(&mut registry, sinks);
@@ -84,6 +86,37 @@ fn register_leak(registry: &mut Registry, axes: &[AxisStatus]) {
         "Leak flow at the reference pressure difference, L/min",
         with(|axis| axis.leak_flow_lpm),
     );
+    let powers = with(|axis| axis.loss.map(|loss| loss.leak_power_w));
+    gauges(registry, "leak_power_w", "Hydraulic power that the leak turns into heat there", powers);
+}
+
+fn register_baseline(registry: &mut Registry, axes: &[AxisStatus]) {
+    const FINDINGS: [Finding; 3] = [Finding::None, Finding::Leak, Finding::Improved];
+    let with = |value: fn(&AxisStatus) -> Option<f64>| {
+        axes.iter().filter_map(move |axis| value(axis).map(|value| (axis, value)))
+    };
+    let learned = with(|axis| axis.baseline.learned_cycles.map(|cycles| cycles as f64));
+    gauges(registry, "baseline_cycles", "Cycles of the baseline in force", learned);
+    let learning = with(|axis| axis.baseline.learning.map(|[so_far, _]| so_far as f64));
+    gauges(
+        registry,
+        "baseline_learning_cycles",
+        "Cycles so far of a baseline that is being learned",
+        learning,
+    );
+    let family = Gauges::default();
+    for axis in axes.iter().filter(|axis| axis.baseline.learned_cycles.is_some()) {
+        for finding in FINDINGS {
+            let labels = vec![("axis", axis.axis.clone()), ("finding", finding.name().to_owned())];
+            family.get_or_create(&labels).set(f64::from(u8::from(axis.finding == finding)));
+        }
+    }
+    registry.register("finding", "1 for what the sums over cycles say against the baseline", family);
+    gauges(registry, "time_to_leak_s", "Until the flag leak, as projected", with(|axis| axis.time_to_leak_s));
+    let earliest = with(|axis| axis.time_to_leak_range_s.map(|range| range[0]));
+    gauges(registry, "time_to_leak_earliest_s", "The shortest that the points so far admit", earliest);
+    let latest = with(|axis| axis.time_to_leak_range_s.map(|range| range[1]));
+    gauges(registry, "time_to_leak_latest_s", "The longest that the points so far admit", latest);
 }
 
 fn register_flags(registry: &mut Registry, axes: &[AxisStatus]) {
@@ -181,5 +214,28 @@ mod tests {
         let text_with = text(&[status], &[SinkStatus::new("mqtt")]).unwrap();
         assert!(text_with.contains("seepd_leak_area_m2{axis=\"press \\\"1\\\"\"} 1e-7"), "{text_with}");
         assert!(text_with.contains("seepd_sink_good{sink=\"mqtt\"} 1"));
+    }
+
+    #[test]
+    fn a_baseline_is_told_with_its_finding_and_date() {
+        let mut status = AxisStatus::new("press", 7e6);
+        let without = text(std::slice::from_ref(&status), &[]).unwrap();
+        assert!(
+            !without.contains("seepd_finding{") && !without.contains("seepd_baseline_cycles{"),
+            "{without}"
+        );
+        status.baseline.learned_cycles = Some(50);
+        status.finding = Finding::Leak;
+        (status.time_to_leak_s, status.time_to_leak_range_s) = (Some(3600.0), Some([1800.0, 7200.0]));
+        let with = text(&[status], &[]).unwrap();
+        for line in [
+            "seepd_baseline_cycles{axis=\"press\"} 50",
+            "seepd_finding{axis=\"press\",finding=\"leak\"} 1",
+            "seepd_finding{axis=\"press\",finding=\"none\"} 0",
+            "seepd_time_to_leak_s{axis=\"press\"} 3600",
+            "seepd_time_to_leak_earliest_s{axis=\"press\"} 1800",
+        ] {
+            assert!(with.contains(line), "{line}\n{with}");
+        }
     }
 }

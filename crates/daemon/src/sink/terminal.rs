@@ -151,6 +151,10 @@ pub fn write_summary(out: &mut impl Write, summary: &Summary, colour: Colour) ->
             summary.highest_flag.name()
         )?;
     }
+    if let Some(loss) = &summary.loss {
+        let (power, energy) = (loss.leak_power_w, loss.leak_energy_kwh_per_year);
+        writeln!(out, "lost: {power:.1} W, {energy:.0} kWh a year")?;
+    }
     if !summary.samples_rejected.is_empty() {
         writeln!(out, "samples: {} read; {}", summary.samples, listed(&summary.samples_rejected))?;
     }

@@ -107,7 +107,8 @@ function showCondition(axis) {
   const low = flowOf(axis, axis.interval90_m2 ? axis.interval90_m2[0] : null);
   const high = flowOf(axis, axis.interval90_m2 ? axis.interval90_m2[1] : null);
   byId("interval").textContent = known && axis.interval90_m2
-    ? number(low) + " … " + number(high) + " L/min at " + axis.reference_dp_pa / 1e6 + " MPa, " + axis.leak_area_m2.toExponential(2) + " m²"
+    ? number(low) + " … " + number(high) + " L/min at " + axis.reference_dp_pa / 1e6 + " MPa, " + axis.leak_area_m2.toExponential(2) + " m²; "
+      + number(axis.leak_power_w) + " W, " + Math.round(axis.leak_energy_kwh_per_year) + " kWh a year"
     : axis.leak_flow_lpm === null ? "" : "last known " + number(axis.leak_flow_lpm) + " L/min";
   const latched = axis.latched && !axis.acknowledged;
   byId("latched").textContent = axis.latched
