@@ -15,14 +15,13 @@ use crate::failure::{Code, Failure};
 
 /// Ending of the topics that are read when no mapping names one.
 const DEFAULT_TOPIC_ENDING: &str = "/signals";
+/// Message header: channel, sequence, log time, publish time.
+pub(crate) const MESSAGE_HEADER_BYTES: usize = 2 + 4 + 8 + 8;
 
 /// The ending of a mapping's topics, where it does not name one.
 fn topic_ending(mapping: &SignalMapping) -> Option<&str> {
     if mapping.topic.is_empty() { Some(DEFAULT_TOPIC_ENDING) } else { mapping.topic.strip_prefix('*') }
 }
-
-/// Message header: channel, sequence, log time, publish time.
-pub(crate) const MESSAGE_HEADER_BYTES: usize = 2 + 4 + 8 + 8;
 
 /// What is known of a channel.
 struct Channel {
