@@ -172,6 +172,7 @@ fn missing_truth_and_wrong_limits_are_one_line_each() {
         (&[log, blind], 65, "name the truth with --truth and --truth-topic"),
         (&["--truth", "leakage", log], 65, "`leakage`"),
         (&["--truth-topic", "/elsewhere", log], 65, "on topic /elsewhere"),
+        (&["-"], 64, "each log is read twice"),
         (&["--within-cycles", "0", log], 64, "--within-cycles is 0"),
         (&["--onset-lpm", "nan", log], 64, "--onset-lpm"),
         (&["--learn-cycles", "3", log], 64, "a baseline has"),

@@ -1,6 +1,6 @@
 //! The article's ensemble (five features, 1,200 observations, 27 learners) against the program's model.
 
-use seepd_model::accuracy::{median, r_squared};
+use seepd_model::accuracy::{mean_absolute_error, median, r_squared};
 use seepd_model::schema::Tree;
 use seepd_sim::MachineSpec;
 use seepd_sim::noise::Noise;
@@ -142,11 +142,7 @@ fn measure(
             noise: *noise,
             count: pairs.len(),
             r2: r_squared(&pairs),
-            mean_absolute_error_m2: pairs
-                .iter()
-                .map(|(truth, estimate)| (truth - estimate).abs())
-                .sum::<f64>()
-                / pairs.len() as f64,
+            mean_absolute_error_m2: mean_absolute_error(&pairs),
             median_relative_error: [relative(5e-8, 1e-7), relative(1e-7, 1e-6), relative(1e-6, 1.01e-5)],
         }
     };

@@ -6,7 +6,7 @@ use seepd_train::Spread;
 use seepd_train::dataset;
 use serde::Serialize;
 
-use crate::cycles::REFERENCE_DP_PA;
+use crate::cycles::orifice_lpm;
 use crate::ensemble::Taught;
 use crate::features::{Cycle, Lens};
 use crate::{AREAS_M2, StudyError, geometric};
@@ -69,13 +69,12 @@ pub(crate) fn measure(
         let found: Vec<(f64, bool)> =
             leaking.iter().map(|cycle| (cycle.leak_area_m2, estimate(cycle) > threshold_m2)).collect();
         let smallest_m2 = smallest_found(&found);
-        let flow_lpm = |area_m2| lens.model.leak_flow_m3_per_s(area_m2, REFERENCE_DP_PA) * 60_000.0;
         Limit {
             ensemble,
             machines: healthy.len(),
             threshold_m2,
             smallest_m2,
-            smallest_lpm: smallest_m2.map(flow_lpm),
+            smallest_lpm: smallest_m2.map(|area_m2| orifice_lpm(spec, area_m2)),
         }
     };
     Ok(vec![limit("article", &by_article), limit("seepd", &by_model)])

@@ -19,7 +19,7 @@ use crate::html::evaluation::EvaluationPage;
 use crate::pipeline::{Pipeline, PipelineConfig};
 use crate::progress::{byte_bar, warn};
 use crate::sink::evaluation::write_tables;
-use crate::sink::terminal::print;
+use crate::sink::terminal::{listed, print};
 use crate::source::record;
 
 /// Compares estimates and flags with the truth that logs hold: errors, coverage, delay, false alarms, receiver operating curve.
@@ -95,6 +95,9 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
             Code::Usage,
             format!("--onset-lpm is {}; it must be 0 or more", arguments.onset_lpm),
         ));
+    }
+    if arguments.logs.iter().any(|log| log == Path::new("-")) {
+        return Err(Failure::new(Code::Usage, "standard input: each log is read twice; name its file"));
     }
     if arguments.within_cycles == 0 {
         return Err(Failure::new(Code::Usage, "--within-cycles is 0; it must be 1 or more"));
@@ -212,9 +215,7 @@ fn nothing_to_judge(evaluation: &Evaluation) -> Failure {
     } else if without_truth == cycles {
         format!("no truth lies within any of the {cycles} cycles: is its time the signals' time?")
     } else {
-        let reasons: Vec<String> =
-            rejected.iter().map(|(reason, count)| format!("{reason} {count}")).collect();
-        format!("none of the {cycles} cycles has an estimate ({})", reasons.join(", "))
+        format!("none of the {cycles} cycles has an estimate ({})", listed(rejected))
     };
     Failure::data(format!("nothing to evaluate: {why}"))
 }

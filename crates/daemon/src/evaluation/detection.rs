@@ -156,7 +156,7 @@ impl Detection {
             .collect();
         let classes: Vec<ClassLine> =
             Class::all().filter_map(|class| ClassLine::of(class, &onsets, conditions)).collect();
-        let found = |line: &&ClassLine| line.found as f64 >= FOUND_SHARE * line.machines as f64;
+        let found = |line: &&ClassLine| line.share_found() >= FOUND_SHARE;
         Some(Detection {
             detector,
             healthy_cycles: courses.iter().map(|course| course.healthy_cycles).sum(),
@@ -170,6 +170,11 @@ impl Detection {
 }
 
 impl ClassLine {
+    /// Share of machines of which the leak was found in time.
+    pub fn share_found(&self) -> f64 {
+        self.found as f64 / self.machines as f64
+    }
+
     fn of(class: Class, onsets: &[Onset], conditions: &Conditions) -> Option<Self> {
         let of_class = onsets.iter().filter(|onset| class.holds(onset.leak_lpm));
         let in_time = |onset: &&Onset| {

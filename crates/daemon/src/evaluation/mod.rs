@@ -46,7 +46,7 @@ pub struct Evaluation {
     /// Cycles of which the truth is not known: they are in none of the figures.
     pub without_truth: usize,
     /// Cycles without an estimate, by reason.
-    pub rejected: BTreeMap<&'static str, usize>,
+    pub rejected: BTreeMap<&'static str, u64>,
     /// Sizes, by method.
     pub sizes: Vec<Sizes>,
     /// Alarms, by detector.

@@ -61,6 +61,13 @@ pub struct Healthy {
     pub outside: usize,
 }
 
+impl Healthy {
+    /// Share of cycles of which the interval holds the truth; not a number for none.
+    pub fn coverage(&self) -> f64 {
+        1.0 - self.outside as f64 / self.cycles as f64
+    }
+}
+
 /// What a method's sizes are worth.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Sizes {

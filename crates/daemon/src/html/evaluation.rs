@@ -63,7 +63,7 @@ impl EvaluationPage<'_> {
                         th.number { "found within " (within) " cycles" } th.number { "median cycles to the alarm" } } }
                     tbody { @for line in &detection.classes { tr {
                         td { (line.class) } td.number { (line.machines) } td.number { (format!("{:.3}", line.median_lpm)) }
-                        td.number { (percent(line.found as f64 / line.machines as f64, 1)) }
+                        td.number { (percent(line.share_found(), 1)) }
                         td.number { @match line.median_cycles { Some(cycles) => (cycles), None => "–" } }
                     } } }
                 } }
@@ -126,7 +126,7 @@ fn size_table(sizes: &Sizes) -> Markup {
                     td.number { (percent(decade.median_relative_error, 2)) } td.number { (percent(decade.coverage, 1)) }
                 } }
                 tr { td { "none" } td.number { (healthy.cycles) } td.number { "" }
-                    td.number { (percent(1.0 - healthy.outside as f64 / healthy.cycles as f64, 1)) } }
+                    td.number { (percent(healthy.coverage(), 1)) } }
             }
         } }
         p.soft { "R² of the area " (or_dash(sizes.r2_area, |value| format!("{value:.5}"))) ", mean error "

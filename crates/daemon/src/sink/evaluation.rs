@@ -6,6 +6,7 @@ use crate::evaluation::Evaluation;
 use crate::evaluation::detection::Detection;
 use crate::evaluation::roc::Roc;
 use crate::evaluation::sizes::Sizes;
+use crate::sink::terminal::listed;
 
 /// A share in per cent; a dash where there is none.
 pub(crate) fn percent(share: f64, digits: usize) -> String {
@@ -25,9 +26,7 @@ pub fn write_tables(out: &mut impl Write, evaluation: &Evaluation) -> io::Result
     let Evaluation { conditions, machines, cycles, rejected, .. } = evaluation;
     writeln!(out, "{machines} machines, {cycles} cycles; flows at {} MPa", conditions.reference_dp_pa / 1e6)?;
     if !rejected.is_empty() {
-        let reasons: Vec<String> =
-            rejected.iter().map(|(reason, count)| format!("{reason} {count}")).collect();
-        writeln!(out, "without an estimate: {}", reasons.join(", "))?;
+        writeln!(out, "without an estimate: {}", listed(rejected))?;
     }
     for sizes in &evaluation.sizes {
         write_sizes(out, sizes)?;
@@ -50,7 +49,7 @@ fn write_sizes(out: &mut impl Write, sizes: &Sizes) -> io::Result<()> {
         writeln!(out, "{range:>16} {:>8} {error:>14} {:>18}", decade.count, percent(decade.coverage, 1))?;
     }
     let healthy = &sizes.healthy;
-    let held = percent(1.0 - healthy.outside as f64 / healthy.cycles as f64, 1);
+    let held = percent(healthy.coverage(), 1);
     writeln!(out, "{:>16} {:>8} {:>14} {held:>18}", "none", healthy.cycles, "")?;
     writeln!(
         out,
@@ -80,7 +79,7 @@ fn write_detection(out: &mut impl Write, detection: &Detection, evaluation: &Eva
         "median cycles"
     )?;
     for line in &detection.classes {
-        let share = percent(line.found as f64 / line.machines as f64, 1);
+        let share = percent(line.share_found(), 1);
         let delay = line.median_cycles.map_or_else(|| "–".into(), |cycles| cycles.to_string());
         let class = line.class.to_string();
         writeln!(out, "{class:>14} {:>9} {:>13.3} {share:>18} {delay:>13}", line.machines, line.median_lpm)?;

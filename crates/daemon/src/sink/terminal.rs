@@ -161,6 +161,7 @@ pub fn write_summary(out: &mut impl Write, summary: &Summary, colour: Colour) ->
     Ok(())
 }
 
-fn listed(counts: &std::collections::BTreeMap<&'static str, u64>) -> String {
+/// Counts with their names, in a line.
+pub(crate) fn listed(counts: &std::collections::BTreeMap<&'static str, u64>) -> String {
     counts.iter().map(|(name, count)| format!("{count} {name}")).collect::<Vec<_>>().join(", ")
 }
