@@ -8,7 +8,7 @@ use std::sync::LazyLock;
 use rayon::prelude::*;
 use seepd::alarm::AlarmConfig;
 use seepd::event::{Event, Flag};
-use seepd::pipeline::{Pipeline, PipelineConfig};
+use seepd::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use seepd_model::Model;
 use seepd_signals::Sample;
 use seepd_sim::MachineSpec;
@@ -112,11 +112,10 @@ fn no_flag_in(stretch_cycles: usize) {
 
 /// Cycles with an estimate of each lane; panics where a flag rises.
 fn watch(model: &Model, jobs: &[Job], batch: u64) -> Vec<u64> {
-    let (projections, alarm) = (model.projections(), AlarmConfig::default());
+    let (duty_cycles, alarm) = ([DutyCycle::only(model)], AlarmConfig::default());
     let config = PipelineConfig {
         axis: "axis",
-        model,
-        projections: &projections,
+        duty_cycles: &duty_cycles,
         alarm: &alarm,
         reference_dp_pa: 7e6,
         operating_hours_per_year: 8760.0,

@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use seepd::alarm::AlarmConfig;
 use seepd::baseline::{Baseline, Finding};
 use seepd::event::Event;
-use seepd::pipeline::{Pipeline, PipelineConfig};
+use seepd::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use seepd_model::Model;
 use seepd_signals::{Sample, Signal};
 use seepd_sim::batch::{Job, run_lanes};
@@ -67,11 +67,10 @@ struct Course {
 
 /// Runs machines in lanes over their days; each is followed from its baseline, or learns one.
 fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool) -> Vec<Course> {
-    let (projections, alarm) = (model.projections(), AlarmConfig::default());
+    let (duty_cycles, alarm) = ([DutyCycle::only(&model)], AlarmConfig::default());
     let config = PipelineConfig {
         axis: "axis",
-        model,
-        projections: &projections,
+        duty_cycles: &duty_cycles,
         alarm: &alarm,
         reference_dp_pa: 7e6,
         operating_hours_per_year: 8760.0,
@@ -87,7 +86,7 @@ fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool
                 .map(|(number, day, baseline)| {
                     let mut pipeline = Pipeline::new(config);
                     match baseline {
-                        Some(baseline) => pipeline.follow(baseline.clone()),
+                        Some(baseline) => pipeline.monitors_mut()[0].follow(baseline.clone()),
                         None => pipeline.learn("test", BASELINE_CYCLES),
                     }
                     (pipeline, Noise::new(9_000 + number, day.cycles as u64), 0, Course::default())
@@ -113,7 +112,7 @@ fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool
                 });
             });
             lanes.into_iter().map(|(pipeline, _, _, mut course)| {
-                course.baseline = pipeline.baseline().cloned();
+                course.baseline = pipeline.monitors()[0].baseline().cloned();
                 course
             })
         })

@@ -5,7 +5,7 @@ use std::io::Cursor;
 use divan::counter::ItemsCount;
 use seepd::alarm::AlarmConfig;
 use seepd::config::Config;
-use seepd::pipeline::{Pipeline, PipelineConfig};
+use seepd::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use seepd::source::Source;
 use seepd::source::mcap::McapSource;
 
@@ -32,11 +32,10 @@ fn replay(bencher: divan::Bencher<'_, '_>, command_only: bool) {
     let bytes = log(command_only);
     let config = Config::default();
     let model = config.load_model().expect("the embedded model");
-    let (projections, alarm) = (model.projections(), AlarmConfig::default());
+    let (duty_cycles, alarm) = ([DutyCycle::only(&model)], AlarmConfig::default());
     let config = PipelineConfig {
         axis: "axis",
-        model: &model,
-        projections: &projections,
+        duty_cycles: &duty_cycles,
         alarm: &alarm,
         reference_dp_pa: config.reference_dp_pa,
         operating_hours_per_year: config.operating_hours_per_year,

@@ -50,6 +50,14 @@ pub struct FeatureValues<'a> {
     pub values: &'a [f64],
 }
 
+impl FeatureValues<'_> {
+    /// The value of that name.
+    pub fn get(&self, name: &str) -> Option<f64> {
+        let index = self.names.iter().position(|known| known == name)?;
+        self.values.get(index).copied()
+    }
+}
+
 impl Serialize for FeatureValues<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut map = serializer.serialize_map(Some(self.values.len()))?;
@@ -69,6 +77,9 @@ pub struct CycleLine<'a> {
     pub axis: &'a str,
     /// Number of the cycle, from 0; rejected cycles count too.
     pub cycle: u64,
+    /// Name of the duty cycle, where the axis has several and one of them knows it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub duty_cycle: Option<&'a str>,
     /// Start, s from the log's first sample.
     pub t_start_s: f64,
     /// End, s from the log's first sample.
@@ -87,6 +98,9 @@ pub struct CycleLine<'a> {
     pub flag: Flag,
     /// Why there is no estimate.
     pub reason: Option<&'static str>,
+    /// What the simulator-trained model says by itself; its fields are absent for a rejected cycle.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub absolute: Option<AbsoluteLine<'a>>,
     /// What the comparison with a baseline says; its fields are absent where there is none.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub comparison: Option<ComparisonLine<'a>>,
@@ -95,13 +109,22 @@ pub struct CycleLine<'a> {
     pub features: Option<FeatureValues<'a>>,
 }
 
-/// A cycle's comparison with the machine's baseline: fields of its line. The line's own estimate is then relative to the baseline.
+/// The simulator-trained estimate, which knows no baseline: fields of a cycle's line, and without a baseline the line's own estimate.
 #[derive(Debug, Clone, Serialize)]
-pub struct ComparisonLine<'a> {
-    /// The simulator-trained estimate, which knows no baseline, m².
+pub struct AbsoluteLine<'a> {
+    /// Estimate, m².
     pub absolute_leak_area_m2: f64,
     /// Its interval, m².
     pub absolute_interval90_m2: [f64; 2],
+    /// Distance from the machines of training, over its limit; above 1 there is no estimate without a baseline.
+    pub absolute_novelty: f64,
+    /// What each feature contributes to the natural logarithm of the estimate: how far it lies from what training expects of any machine.
+    pub absolute_why: FeatureValues<'a>,
+}
+
+/// A cycle's comparison with the machine's baseline: fields of its line. The line's own estimate is then relative to the baseline.
+#[derive(Debug, Clone, Serialize)]
+pub struct ComparisonLine<'a> {
     /// The response, m²: around 0 for a machine as it was at its baseline, negative as often as not.
     pub response_m2: f64,
     /// Distance from what training has seen, over its limit; above 1 there is no estimate.
@@ -182,6 +205,8 @@ pub enum NoticeKind {
     Improved,
     /// The load's signal stands still.
     LoadFrozen,
+    /// The machine is like none of training, and has no baseline to be compared with.
+    UnlikeTraining,
     /// The machine has become another one: it needs a new baseline.
     UnlikeBaseline,
 }
@@ -218,6 +243,9 @@ pub struct Summary {
     pub samples_rejected: BTreeMap<&'static str, u64>,
     /// Cycles with an estimate.
     pub cycles: u64,
+    /// The same by duty cycle, where the axis has several.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub duty_cycles: BTreeMap<String, u64>,
     /// Cycles without one, by reason.
     pub rejected: BTreeMap<&'static str, u64>,
     /// Condition at the end.

@@ -302,6 +302,14 @@ impl<'m> CycleReader<'m> {
         self.mark_start(state, sample);
     }
 
+    /// Start of the cycle, ns, of which the first stroke has been seen and the outcome is still to come; the earliest, if there are
+    /// several.
+    pub fn begun_ns<B: AsRef<[f32]> + AsMut<[f32]>>(&self, state: &CycleState<B>) -> Option<i64> {
+        let open = state.open.map(|span| span.start);
+        let awaited = state.segment.awaited(&self.definition, state.next);
+        open.into_iter().chain(awaited).min().map(|start| state.time_ns(start, self.period_ns))
+    }
+
     /// Ends the stream: what is under way is incomplete.
     pub fn finish<B: AsRef<[f32]> + AsMut<[f32]>>(
         &self,

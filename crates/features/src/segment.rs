@@ -216,6 +216,14 @@ impl SegmentState {
         })
     }
 
+    /// Start of the earliest cycle of which the strokes are not confirmed yet, at sample `now`.
+    pub(crate) fn awaited(&self, definition: &CycleDefinition<'_>, now: i64) -> Option<i64> {
+        let rate = definition.sample_rate_hz;
+        let of_last = self.last.map(|last| libm::round(last.end - definition.anchors[1].end_s * rate) as i64);
+        let of_first = self.cycle_under_way(definition, now).map(|(start, _)| start);
+        of_last.into_iter().chain(of_first).min()
+    }
+
     /// Takes sample number `now`.
     #[inline]
     pub(crate) fn push(

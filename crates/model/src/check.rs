@@ -9,7 +9,9 @@ use seepd_features::reader::MAX_FEATURES;
 use seepd_features::segment::{MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS};
 
 use crate::relative::Inputs;
-use crate::schema::{Calibration, Cycle, Filter, ModelFile, RelativeFile, SCHEMA, Transform, Tree};
+use crate::schema::{
+    Calibration, Cycle, Filter, ModelFile, NoveltyFile, RelativeFile, SCHEMA, Transform, Tree,
+};
 
 /// Largest file that is read, bytes: sixteen times the size that training aims at, and small on any gateway.
 pub const MAX_FILE_BYTES: usize = 16 << 20;
@@ -107,6 +109,7 @@ pub(crate) fn check(file: &ModelFile) -> Result<(), ModelError> {
         check_tree(tree, file.features.len(), &format!("trees[{index}]"))?;
     }
     check_calibration(&file.calibration, "calibration")?;
+    check_novelty(&file.novelty, file.cycle.phases.len(), "novelty")?;
     file.relative.as_ref().map_or(Ok(()), |relative| check_relative(relative, file.cycle.phases.len()))
 }
 
@@ -317,17 +320,7 @@ pub(crate) fn check_relative(file: &RelativeFile, phases: usize) -> Result<(), M
     if file.novelty.is_empty() {
         return refuse("relative.novelty", "is empty");
     }
-    let mut before = f64::NEG_INFINITY;
-    for (index, range) in file.novelty.iter().enumerate() {
-        let path = |key: &str| format!("relative.novelty[{index}].{key}");
-        if !range.from_y.is_finite() || range.from_y <= before {
-            return refuse(path("from_y"), format!("is {}; it must ascend", range.from_y));
-        }
-        before = range.from_y;
-        has_length(&path("mean"), &range.mean, phases)?;
-        has_length(&path("whitening"), &range.whitening, phases * (phases + 1) / 2)?;
-        within(&path("limit"), range.limit, 1e-6, 1e9)?;
-    }
+    check_novelty(&file.novelty, phases, "relative.novelty")?;
     within("relative.largest_load_change", file.largest_load_change, 1e-6, 1e6)?;
     within("relative.detection.threshold", file.detection.threshold, 1.0, 1e3)?;
     within(
@@ -338,6 +331,21 @@ pub(crate) fn check_relative(file: &RelativeFile, phases: usize) -> Result<(), M
     )?;
     for (index, area) in file.piston_areas_m2.iter().enumerate() {
         within(&format!("relative.piston_areas_m2[{index}]"), *area, 1e-6, 10.0)?;
+    }
+    Ok(())
+}
+
+fn check_novelty(ranges: &[NoveltyFile], phases: usize, path: &str) -> Result<(), ModelError> {
+    let mut before = f64::NEG_INFINITY;
+    for (index, range) in ranges.iter().enumerate() {
+        let path = |key: &str| format!("{path}[{index}].{key}");
+        if !range.from_y.is_finite() || range.from_y <= before {
+            return refuse(path("from_y"), format!("is {}; it must ascend", range.from_y));
+        }
+        before = range.from_y;
+        has_length(&path("mean"), &range.mean, phases)?;
+        has_length(&path("whitening"), &range.whitening, phases * (phases + 1) / 2)?;
+        within(&path("limit"), range.limit, 1e-6, 1e9)?;
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use crate::schema::{Calibration, Transform, Tree};
 
 /// A node in 16 bytes.
 #[derive(Debug, Clone, Copy)]
-struct Node {
+pub(crate) struct Node {
     /// Threshold, or a leaf's prediction.
     value: f64,
     /// Index of the right child in the ensemble's nodes; of itself for a leaf.
@@ -15,6 +15,23 @@ struct Node {
     left_step: u16,
     /// Index of the feature; 0 for a leaf.
     feature: u16,
+}
+
+impl Node {
+    /// Threshold, or a leaf's prediction.
+    pub(crate) fn value(&self) -> f64 {
+        self.value
+    }
+
+    /// Index of the feature that an inner node asks by.
+    pub(crate) fn feature(&self) -> usize {
+        usize::from(self.feature)
+    }
+
+    /// Left and right child of the node at that index; itself for a leaf.
+    pub(crate) fn children(&self, at: u32) -> [u32; 2] {
+        [at + u32::from(self.left_step), self.right]
+    }
 }
 
 /// The trees, their calibration and transform. Built from checked parts only.
@@ -126,11 +143,22 @@ impl Ensemble {
         (pivot.unwrap_or(0.0) + mean, libm::sqrt(variance))
     }
 
+    pub(crate) fn node(&self, at: u32) -> Option<&Node> {
+        self.nodes.get(at as usize)
+    }
+
+    /// Index of each tree's root.
+    pub(crate) fn roots(&self) -> impl Iterator<Item = u32> {
+        self.roots.iter().map(|(root, _)| *root)
+    }
+
+    /// The child that the features lead to; a leaf's own index.
     #[inline(always)]
-    fn step(&self, at: u32, features: &[f64]) -> u32 {
-        let Some(node) = self.nodes.get(at as usize) else { return at };
-        let feature = features.get(usize::from(node.feature)).copied().unwrap_or(0.0);
-        if feature <= node.value { at + u32::from(node.left_step) } else { node.right }
+    pub(crate) fn step(&self, at: u32, features: &[f64]) -> u32 {
+        let Some(node) = self.node(at) else { return at };
+        let feature = features.get(node.feature()).copied().unwrap_or(0.0);
+        let [left, right] = node.children(at);
+        if feature <= node.value { left } else { right }
     }
 }
 

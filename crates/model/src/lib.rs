@@ -8,14 +8,18 @@
 extern crate alloc;
 
 pub mod accuracy;
+pub mod attribution;
 pub mod check;
 pub mod ensemble;
 pub mod model;
+pub mod novelty;
 pub mod relative;
 pub mod schema;
 
+pub use attribution::Attribution;
 pub use check::ModelError;
 pub use ensemble::{Ensemble, Estimate};
 pub use model::Model;
+pub use novelty::Novelty;
 pub use relative::{Comparison, Relative, RelativeEstimate};
 pub use schema::ModelFile;

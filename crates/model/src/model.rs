@@ -6,8 +6,10 @@ use alloc::vec::Vec;
 
 use seepd_features::{CycleReader, Feature, Kalman, Phase, PistonAreas, Projection};
 
+use crate::attribution::Attribution;
 use crate::check::{self, ModelError};
 use crate::ensemble::{Ensemble, Estimate};
+use crate::novelty::Novelty;
 use crate::relative::Relative;
 use crate::schema::{Filter, Golden, ModelFile};
 
@@ -99,6 +101,17 @@ impl Model {
     /// The same with an interval for a command with that standard deviation of noise.
     pub fn estimate_at(&self, features: &[f64], noise: f64) -> Estimate {
         self.ensemble.estimate_at(features, Some(noise))
+    }
+
+    /// What each feature contributes to estimates; kept beside the model by those who ask.
+    pub fn attribution(&self) -> Attribution {
+        Attribution::new(&self.ensemble)
+    }
+
+    /// How far a cycle with these mean commands by phase lies from training, as its estimate has it.
+    pub fn novelty(&self, estimate: &Estimate, phase_means: &[f64]) -> Novelty {
+        let known = phase_means.get(..self.phases.len()).unwrap_or(phase_means);
+        Novelty::of(&self.file.novelty, estimate.transformed, known)
     }
 
     /// Estimates relative to a baseline, if the model has them.

@@ -10,6 +10,7 @@ use seepd_features::segment::MAX_PHASES;
 use crate::check::ModelError;
 use crate::ensemble::{Ensemble, Estimate};
 use crate::model::agree;
+use crate::novelty::Novelty;
 use crate::schema::{RelativeFile, RelativeGolden, Transform, ViewFile};
 
 /// Most changes that a response depends on: the phases and the load.
@@ -46,10 +47,8 @@ pub struct RelativeEstimate {
     pub response_m2: f64,
     /// What each change contributes to the response, m²: phases in their order, then the load.
     pub contributions_m2: [f64; MAX_CHANGES],
-    /// Distance from what training has seen, over its limit: above 1 the estimate is a guess.
-    pub novelty: f64,
-    /// Index of the phase with the largest share of that distance.
-    pub newest_phase: usize,
+    /// Distance of the changes, phases in their order and then the load, from what training has seen.
+    pub novelty: Novelty,
 }
 
 /// The relative estimate of a model, checked.
@@ -139,8 +138,8 @@ impl Relative {
             Transform::LnOffset(offset),
             &view.calibration,
         );
-        let (novelty, newest_phase) = self.novelty(estimate.transformed, &inputs);
-        RelativeEstimate { estimate, response_m2, contributions_m2, novelty, newest_phase }
+        let novelty = self.novelty(estimate.transformed, &inputs);
+        RelativeEstimate { estimate, response_m2, contributions_m2, novelty }
     }
 
     /// How far the baseline lies from training's, in standard deviations: the farthest phase.
@@ -150,32 +149,16 @@ impl Relative {
         standardised.map(|((value, mean), scale)| libm::fabs((value - mean) / scale)).fold(0.0, f64::max)
     }
 
-    fn novelty(&self, y: f64, inputs: &Inputs) -> (f64, usize) {
-        let after = self.file.novelty.partition_point(|range| range.from_y <= y);
-        let Some(range) = self.file.novelty.get(after.saturating_sub(1)) else { return (0.0, 0) };
-        let (distance, newest) = distance(&range.mean, &range.whitening, inputs.phase_changes());
+    fn novelty(&self, y: f64, inputs: &Inputs) -> Novelty {
+        let Novelty { ratio, newest } = Novelty::of(&self.file.novelty, y, inputs.phase_changes());
         let load_change =
             inputs.load_change().map_or(0.0, |change| libm::fabs(change) / self.file.largest_load_change);
-        let novelty = distance / range.limit;
-        if load_change > novelty { (load_change, inputs.phases) } else { (novelty, newest) }
-    }
-}
-
-/// Root mean square of the whitened difference from the mean, and the index of its largest part.
-pub fn distance(mean: &[f64], whitening: &[f64], changes: &[f64]) -> (f64, usize) {
-    let (mut squares, mut largest, mut newest) = (0.0, 0.0, 0);
-    let mut row = 0;
-    for i in 0..changes.len() {
-        let weights = whitening.get(row..=row + i).unwrap_or_default();
-        let whitened: f64 = weights.iter().zip(changes.iter().zip(mean)).map(|(w, (x, m))| w * (x - m)).sum();
-        let square = whitened * whitened;
-        if square > largest {
-            (largest, newest) = (square, i);
+        if load_change > ratio {
+            Novelty { ratio: load_change, newest: inputs.phases }
+        } else {
+            Novelty { ratio, newest }
         }
-        squares += square;
-        row += i + 1;
     }
-    (libm::sqrt(squares / changes.len().max(1) as f64), newest)
 }
 
 /// A baseline less its mean over the phases: a valve that is off its null shifts all phases alike, and says nothing of how the machine

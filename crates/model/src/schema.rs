@@ -39,6 +39,9 @@ pub struct ModelFile {
     pub trees: Vec<Tree>,
     /// Interval around the estimate.
     pub calibration: Calibration,
+    /// What the phases' mean commands look like, by range of the estimate, ascending; empty: not known, and nothing is taken for new.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub novelty: Vec<NoveltyFile>,
     /// How an area becomes a flow.
     pub orifice: Orifice,
     /// SHA-256 of the plant file on which the model was trained, hexadecimal; empty if there was none.
@@ -275,17 +278,18 @@ pub struct ViewFile {
     pub reference_m2: f64,
 }
 
-/// What changes look like where the trees' estimate y is at least `from_y`.
+/// What the phases' values look like where the transformed estimate y is at least `from_y`: their mean commands, or the changes of these
+/// since the baseline.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NoveltyFile {
     /// Least transformed estimate.
     pub from_y: f64,
-    /// Mean change by phase.
+    /// Mean by phase.
     pub mean: Vec<f64>,
-    /// Inverse of the changes' covariance's Cholesky factor, rows one after the other, each up to its diagonal.
+    /// Inverse of the covariance's Cholesky factor, rows one after the other, each up to its diagonal.
     pub whitening: Vec<f64>,
-    /// Largest distance (root mean square of the whitened change) that is still like training.
+    /// Largest distance (root mean square of the whitened difference from the mean) that is still like training.
     pub limit: f64,
 }
 

@@ -46,6 +46,8 @@ pub const LEAK_RANGE_M2: (f64, f64) = (5e-8, 1e-5);
 const SMALLEST_LEAK_M2: f64 = 5e-9;
 /// Beyond the range's end, so that the trees do not end where estimates are still wanted.
 const OVERSHOOT: f64 = 1.3;
+/// Up to here the command does not stand at its end over whole strokes; it does from 2.3e-5 m² on, where no cycle is recognised.
+const LARGEST_LEAK_M2: f64 = 2.3e-5;
 /// Shares of observations without a leak and with one below the main range.
 const SHARE_HEALTHY: f64 = 0.06;
 const SHARE_SMALL: f64 = 0.18;
@@ -74,7 +76,6 @@ fn leak_at(rank: f64) -> f64 {
 
 /// Leak area at a rank of 0 … 1, with these shares of machines without a leak and with one below the main range.
 pub(crate) fn leak_of(rank: f64, healthy: f64, small: f64) -> f64 {
-    let log_uniform = |share: f64, low: f64, high: f64| low * libm::pow(high / low, share);
     if rank < healthy {
         0.0
     } else if rank < healthy + small {
@@ -83,6 +84,15 @@ pub(crate) fn leak_of(rank: f64, healthy: f64, small: f64) -> f64 {
         let share = (rank - healthy - small) / (1.0 - healthy - small);
         log_uniform(share, LEAK_RANGE_M2.0, LEAK_RANGE_M2.1 * OVERSHOOT)
     }
+}
+
+/// Leak area at a rank of 0 … 1 beyond those that sizes are learned from: such a leak must not be taken for another fault.
+pub(crate) fn leak_beyond(rank: f64) -> f64 {
+    log_uniform(rank, LEAK_RANGE_M2.1 * OVERSHOOT, LARGEST_LEAK_M2)
+}
+
+fn log_uniform(share: f64, low: f64, high: f64) -> f64 {
+    low * libm::pow(high / low, share)
 }
 
 /// Ticks of the warm-up cycle that are recorded before the cycle of interest: the filter settles in them.

@@ -10,6 +10,7 @@ pub mod dataset;
 pub mod duty;
 pub mod forest;
 mod linear;
+mod novelty;
 pub mod pca;
 pub mod relative;
 pub mod report;

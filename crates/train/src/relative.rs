@@ -5,9 +5,7 @@
 
 use seepd_features::statistics::CycleStatistics;
 use seepd_model::accuracy::{Decade, Judged, coverage, decades, median_relative_error};
-use seepd_model::relative::{
-    Comparison, DRIFT_ALLOWANCE, Inputs, MAX_CHANGES, centred, distance, log_response,
-};
+use seepd_model::relative::{Comparison, DRIFT_ALLOWANCE, Inputs, MAX_CHANGES, centred, log_response};
 use seepd_model::schema::{
     DetectionFile, NoveltyFile, RelativeFile, RelativeGolden, Transform, Tree, ViewFile,
 };
@@ -21,6 +19,7 @@ use crate::conformal::{self, Prediction, significant};
 use crate::dataset::{self, Observation, Reading};
 use crate::forest::{Forest, Growth, Table};
 use crate::linear;
+use crate::novelty;
 use crate::report::NOISE_LEVELS;
 use crate::train::Settings;
 
@@ -74,12 +73,15 @@ mod purpose {
     pub(super) const LEARN: u64 = 11;
     pub(super) const CALIBRATE: u64 = 12;
     pub(super) const TEST: u64 = 13;
+    pub(super) const BEYOND: u64 = 14;
 }
 
 /// Machines to learn from, and cycles of each beside its baseline.
 const LEARNED_CYCLES: usize = 6;
 /// Cycles beside the baseline of each machine that calibrates: one machine says little of a quantile.
 const CALIBRATED_CYCLES: usize = 2;
+/// Machines with leaks beyond those that are learned from, by which these are known.
+const BEYOND_MACHINES: usize = 48;
 /// Shares of cycles without a leak and with one below the main range.
 const SHARE_HEALTHY: f64 = 0.25;
 const SHARE_SMALL: f64 = 0.25;
@@ -89,18 +91,17 @@ const OFFSET_M2: f64 = 2e-8;
 const RIDGE: f64 = 1e-7;
 /// How the trees that correct the response are grown. The response leaves them little, so that small ones do.
 const GROWTH: Growth = Growth { learners: 24, least_leaf: 40, feature_share: 0.5 };
-/// Ranges of the estimate whose changes are described by themselves.
-const NOVELTY_RANGES: usize = 10;
-/// Error of the simulator, over the size of a change: a machine that differs by so much is not new.
-const MODEL_ERROR: f64 = 0.05;
-/// Room over the largest distance that was seen of a machine not learned from.
-const NOVELTY_ROOM: f64 = 1.25;
 /// Room over the largest change of load that was learned from: the response is smooth.
 const LOAD_ROOM: f64 = 2.0;
 /// Threshold of the cumulative sum, standard deviations.
 const THRESHOLD: f64 = 10.0;
 /// Golden pairs in the file.
 const GOLDEN: usize = 6;
+
+/// Leak area at a rank of 0 … 1.
+fn leak_at(rank: f64) -> f64 {
+    dataset::leak_of(rank, SHARE_HEALTHY, SHARE_SMALL)
+}
 
 /// A cycle with the machine's baseline, both at each level of noise.
 #[derive(Debug, Clone)]
@@ -154,6 +155,7 @@ impl Workshop<'_> {
         cycles: usize,
         purpose: u64,
         levels: Levels<'_>,
+        leak_at: fn(f64) -> f64,
         tell: &mut dyn FnMut(usize),
     ) -> Vec<Pair> {
         let conditions = &self.settings.conditions;
@@ -182,7 +184,7 @@ impl Workshop<'_> {
                         let rank = (index as f64 + rank) / (machines * cycles) as f64;
                         // Neighbouring machines have leaks far apart: a portion of machines is a sample of all.
                         let rank = (rank * SCATTER).fract();
-                        today.leak_area_m2 = dataset::leak_of(rank, SHARE_HEALTHY, SHARE_SMALL);
+                        today.leak_area_m2 = leak_at(rank);
                     }
                     today.stream = stream * 64 + cycle as u64;
                     observations.push(today);
@@ -409,46 +411,16 @@ impl Learned {
         ViewFile { response, calibration, reference_m2: significant(reference_m2) }
     }
 
-    fn novelty(&self, learned: &[Pair], others: &[Pair]) -> Option<Vec<NoveltyFile>> {
-        let phases = self.baseline_mean.len();
-        let changes = |pair: &Pair, level: usize| -> Vec<f64> {
+    fn novelty(&self, learned: [&[Pair]; 2], others: &[Pair]) -> Option<Vec<NoveltyFile>> {
+        let row = |pair: &Pair, level: usize| {
             let reading = &pair.readings[level];
-            reading.present.iter().zip(&reading.baseline).map(|(now, before)| now - before).collect()
+            let changes = reading.present.iter().zip(&reading.baseline).map(|(now, before)| now - before);
+            (self.predict(pair, level, false).mean, changes.collect())
         };
-        let mut rows: Vec<(f64, Vec<f64>)> =
-            learned.iter().map(|pair| (self.predict(pair, 0, false).mean, changes(pair, 0))).collect();
-        rows.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let mut ranges = Vec::new();
-        for range in rows.chunks(rows.len().div_ceil(NOVELTY_RANGES).max(1)) {
-            let count = range.len() as f64;
-            let mean: Vec<f64> =
-                (0..phases).map(|i| range.iter().map(|row| row.1[i]).sum::<f64>() / count).collect();
-            let squares: Vec<f64> =
-                (0..phases).map(|i| range.iter().map(|row| row.1[i].powi(2)).sum::<f64>() / count).collect();
-            let covariance = |i: usize, j: usize| {
-                let product: f64 = range.iter().map(|row| (row.1[i] - mean[i]) * (row.1[j] - mean[j])).sum();
-                let own = if i == j { MODEL_ERROR * MODEL_ERROR * squares[i] } else { 0.0 };
-                product / count + own
-            };
-            let whitening = linear::inverse(phases, &linear::cholesky(phases, covariance)?);
-            let from_y = if ranges.is_empty() { -1e3 } else { crate::train::round_to(range[0].0, 6) };
-            ranges.push(NoveltyFile { from_y, mean, whitening, limit: 0.0 });
-        }
-        for pair in others {
-            for level in 0..CALIBRATED_NOISE.len() {
-                let y = self.predict(pair, level, false).mean;
-                let after = ranges.partition_point(|range| range.from_y <= y);
-                let range = &mut ranges[after.saturating_sub(1)];
-                let far = distance(&range.mean, &range.whitening, &changes(pair, level));
-                range.limit = range.limit.max(NOVELTY_ROOM * far.0);
-            }
-        }
-        // A range that no other machine fell into takes the widest limit.
-        let widest = ranges.iter().map(|range| range.limit).fold(0.0, f64::max);
-        for range in &mut ranges {
-            range.limit = significant(if range.limit > 0.0 { range.limit } else { widest });
-        }
-        Some(ranges)
+        let learned = learned.into_iter().flatten().map(|pair| row(pair, 0)).collect();
+        let others =
+            others.iter().flat_map(|pair| (0..CALIBRATED_NOISE.len()).map(move |level| row(pair, level)));
+        novelty::describe(learned, others)
     }
 }
 
@@ -530,6 +502,7 @@ pub(crate) fn learn(
         LEARNED_CYCLES,
         purpose::LEARN,
         Levels::Drawn(settings.noise),
+        leak_at,
         &mut |done| tell(done, all),
     );
     let learned = Learned::from(&pairs, settings.seed)?;
@@ -540,13 +513,22 @@ pub(crate) fn learn(
         CALIBRATED_CYCLES,
         purpose::CALIBRATE,
         Levels::These(&levels),
+        leak_at,
         &mut |done| tell(settings.relative_machines + done, all),
+    );
+    let beyond = workshop.pairs(
+        BEYOND_MACHINES,
+        1,
+        purpose::BEYOND,
+        Levels::Drawn(settings.noise),
+        dataset::leak_beyond,
+        &mut |_| (),
     );
     let mut file = RelativeFile {
         offset_m2: OFFSET_M2,
         command: learned.view(&others, false),
         load: learned.view(&others, true),
-        novelty: learned.novelty(&pairs, &others)?,
+        novelty: learned.novelty([&pairs, &beyond], &others)?,
         largest_load_change: LOAD_ROOM * settings.conditions.load.max(0.01),
         detection: DetectionFile {
             threshold: THRESHOLD,
@@ -601,10 +583,16 @@ pub(crate) fn measure(
     let Some(relative) = file.relative.clone() else { return Ok(None) };
     let relative = seepd_model::Relative::from_file(relative)?;
     let workshop = Workshop { spec, settings, reading };
-    let pairs =
-        workshop.pairs(settings.tested_on, 1, purpose::TEST, Levels::These(&NOISE_LEVELS), &mut |done| {
+    let pairs = workshop.pairs(
+        settings.tested_on,
+        1,
+        purpose::TEST,
+        Levels::These(&NOISE_LEVELS),
+        leak_at,
+        &mut |done| {
             tell(done, settings.tested_on);
-        });
+        },
+    );
     let accuracy = |knows_load: bool| -> Vec<RelativeAccuracy> {
         (0..NOISE_LEVELS.len())
             .map(|level| {
@@ -642,7 +630,7 @@ fn accuracy_of(
         decades: decades(&cases),
         healthy_deviation_m2: (healthy.iter().map(|e| e.response_m2.powi(2)).sum::<f64>() / count).sqrt(),
         healthy_above_0: healthy.iter().filter(|e| e.estimate.interval[0] > 0.0).count() as f64 / count,
-        novel: results.iter().filter(|(_, given)| given.novelty > 1.0).count() as f64
+        novel: results.iter().filter(|(_, given)| given.novelty.ratio > 1.0).count() as f64
             / results.len().max(1) as f64,
     }
 }

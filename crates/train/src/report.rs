@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 use seepd_features::Kalman;
+use seepd_features::statistics::CycleStatistics;
 use seepd_model::Model;
 use seepd_model::accuracy::{
     Decade, Judged, coverage, decades, in_main_range, mean_absolute_error, r_squared,
@@ -82,7 +83,9 @@ pub(crate) fn measure(subject: &Subject<'_>) -> Report {
         let observation = &subject.observations[index];
         [subject.settings.filter, None].map(|filter| {
             let Subject { reading, features, settings, .. } = subject;
-            read_at_each_noise(reading, features, settings, observation, commands, filter, &NOISE_LEVELS)
+            read_at_each_noise(reading, settings, observation, commands, filter, &NOISE_LEVELS, |cycle| {
+                features.of(cycle)
+            })
         })
     });
     let by_noise: Vec<Accuracy> =
@@ -90,21 +93,20 @@ pub(crate) fn measure(subject: &Subject<'_>) -> Report {
     Report { accuracy: by_noise[0].clone(), by_noise, noise_table: noise_table(subject, &readings) }
 }
 
-/// Features of a machine at each noise level; `None` where the cycle was not found.
-pub(crate) fn read_at_each_noise<const LEVELS: usize>(
+/// What `read` takes from a machine's cycle at each noise level; `None` where the cycle was not found.
+pub(crate) fn read_at_each_noise<R, const LEVELS: usize>(
     reading: &Reading<'_>,
-    features: &Features<'_>,
     settings: &Settings,
     observation: &Observation,
     commands: &[f64],
     filter: Option<Kalman>,
     levels: &[f64; LEVELS],
-) -> [Option<Vec<f64>>; LEVELS] {
+    read: impl Fn(&CycleStatistics) -> R,
+) -> [Option<R>; LEVELS] {
     levels.map(|sigma| {
         // The same noise at every level, scaled.
         let mut noise: Noise = noise_of(observation, settings);
-        let statistics = reading.read(commands, filter, sigma, &mut noise)?;
-        Some(features.of(&statistics))
+        reading.read(commands, filter, sigma, &mut noise).map(|statistics| read(&statistics))
     })
 }
 

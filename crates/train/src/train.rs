@@ -4,7 +4,8 @@ use rayon::prelude::*;
 use seepd_features::statistics::CycleStatistics;
 use seepd_features::{Feature, Kalman, Projection};
 use seepd_model::schema::{
-    Cycle, Filter, Golden, ModelFile, Orifice, ProjectionFile, SCHEMA, Training, Transform,
+    Calibration, Cycle, Filter, Golden, ModelFile, NoveltyFile, Orifice, ProjectionFile, SCHEMA, Training,
+    Transform,
 };
 use seepd_model::{Ensemble, Model, ModelError};
 use seepd_sim::noise::Noise;
@@ -15,6 +16,7 @@ use crate::conformal::{self, Prediction};
 use crate::dataset::{self, Observation, Reading, Spread};
 use crate::duty;
 use crate::forest::{Forest, Growth, Table};
+use crate::novelty;
 use crate::pca;
 use crate::relative::{self, Conditions, RelativeReport};
 use crate::report::{self, Report};
@@ -137,8 +139,11 @@ mod purpose {
     pub(super) const LEARN: u64 = 2;
     pub(super) const HELD_OUT: u64 = 3;
     pub(super) const CALIBRATE: u64 = 4;
+    pub(super) const BEYOND: u64 = 5;
 }
 
+/// For so many machines that are learned from there is one more with a leak beyond, by which such leaks are known.
+const LEARNED_TO_BEYOND: usize = 16;
 /// Machines from which templates are made.
 const TEMPLATE_MACHINES: usize = 64;
 /// Principal components that become features.
@@ -186,7 +191,7 @@ pub fn train(
         },
     )?;
     let forest = Forest::grow(&table, found.growth, settings.seed);
-    let calibration = calibrate(spec, settings, &reading, &features, &forest, transform);
+    let (calibration, novelty) = calibrate(spec, settings, &reading, &features, &learned, &forest, transform);
     let relative =
         relative::learn(spec, settings, &reading, &mut |done, all| tell(Stage::Compare, done, all));
 
@@ -203,6 +208,7 @@ pub fn train(
         transform,
         trees: forest.trees,
         calibration,
+        novelty,
         orifice: Orifice {
             discharge_coefficient: spec.plant.discharge_coefficient,
             density_kg_per_m3: spec.plant.density_kg_per_m3,
@@ -492,45 +498,62 @@ impl<'a> Features<'a> {
     }
 }
 
-/// The intervals' calibration, on machines that were not learned from, at each level of noise.
+/// The intervals' calibration and what cycles look like, on machines that were not learned from, at each level of noise.
 fn calibrate(
     spec: &MachineSpec,
     settings: &Settings,
     reading: &Reading<'_>,
     features: &Features<'_>,
+    learned: &[Case],
     forest: &Forest,
     transform: Transform,
-) -> seepd_model::schema::Calibration {
+) -> (Calibration, Vec<NoveltyFile>) {
+    let levels = &relative::CALIBRATED_NOISE;
     let observations =
         dataset::draw(spec, settings.spread, settings.calibrated_on, settings.seed, purpose::CALIBRATE);
-    let readings = dataset::simulate(&observations, |index, commands| {
-        let levels = &relative::CALIBRATED_NOISE;
-        report::read_at_each_noise(
-            reading,
-            features,
-            settings,
-            &observations[index],
-            commands,
-            settings.filter,
-            levels,
-        )
-    });
+    let phase_means = |cycle: &CycleStatistics| cycle.phase_means()[..reading.phases.len()].to_vec();
+    let read = |observations: &[Observation]| {
+        dataset::simulate(observations, |index, commands| {
+            let (observation, filter) = (&observations[index], settings.filter);
+            report::read_at_each_noise(reading, settings, observation, commands, filter, levels, |cycle| {
+                (features.of(cycle), phase_means(cycle))
+            })
+        })
+    };
+    let readings = read(&observations);
+    let count = settings.observations / LEARNED_TO_BEYOND;
+    let mut beyond = dataset::draw(spec, settings.spread, count, settings.seed, purpose::BEYOND);
+    for (index, observation) in beyond.iter_mut().enumerate() {
+        observation.leak_area_m2 = dataset::leak_beyond(index as f64 / count as f64);
+    }
+    let beyond = read(&beyond);
     let uncalibrated = conformal::calibration(&[], std::iter::empty());
     let ensemble = Ensemble::from_checked(&forest.trees, transform, uncalibrated);
     let predict = |level: usize, is_wanted: &dyn Fn(f64) -> bool| -> Vec<Prediction> {
         let cases = observations.iter().zip(&readings).filter(|(case, _)| is_wanted(case.leak_area_m2));
         cases
             .filter_map(|(case, reading)| {
-                let (mean, spread) = ensemble.vote(reading[level].as_ref()?);
+                let (mean, spread) = ensemble.vote(&reading[level].as_ref()?.0);
                 Some(Prediction { truth: transform.forward(case.leak_area_m2), mean, spread })
             })
             .collect()
     };
-    let levels = relative::CALIBRATED_NOISE.iter().enumerate();
-    let by_noise: Vec<(f64, Vec<Prediction>)> =
-        levels.map(|(level, noise)| (*noise, predict(level, &|area| area > 0.0))).collect();
-    let healthy = (0..relative::CALIBRATED_NOISE.len()).flat_map(|level| predict(level, &|area| area == 0.0));
-    conformal::calibration(&by_noise, healthy.map(|one| transform.back(one.mean).max(0.0)))
+    let by_noise: Vec<(f64, Vec<Prediction>)> = levels
+        .iter()
+        .enumerate()
+        .map(|(level, noise)| (*noise, predict(level, &|area| area > 0.0)))
+        .collect();
+    let healthy = (0..levels.len()).flat_map(|level| predict(level, &|area| area == 0.0));
+    let calibration = conformal::calibration(&by_noise, healthy.map(|one| transform.back(one.mean).max(0.0)));
+    let row = |(values, means): &(Vec<f64>, Vec<f64>)| (ensemble.vote(values).0, means.clone());
+    let (even, odd): (Vec<_>, Vec<_>) =
+        beyond.iter().enumerate().partition(|(index, _)| index.is_multiple_of(2));
+    let beyond = |part: Vec<(usize, &[Option<_>; 3])>| {
+        part.into_iter().flat_map(|(_, reading)| reading.iter().flatten().map(row)).collect::<Vec<_>>()
+    };
+    let seen = learned.iter().map(|case| row(&(features.of(&case.mixed), phase_means(&case.mixed))));
+    let others = readings.iter().flatten().flatten().map(row).chain(beyond(odd));
+    (calibration, novelty::describe(seen.chain(beyond(even)).collect(), others).unwrap_or_default())
 }
 
 /// Pairs spread over the range of the target.

@@ -51,7 +51,7 @@ fn compare(
 ) -> RelativeEstimate {
     let noise = cycle.statistics.noise;
     let estimate = relative.estimate(&Comparison { baseline, present, load_change, noise });
-    if estimate.novelty <= 1.0 {
+    if estimate.novelty.ratio <= 1.0 {
         return estimate;
     }
     let load_before = load_change.map(|change| 1.0 / (1.0 + change) - 1.0);
@@ -61,7 +61,7 @@ fn compare(
         load_change: load_before,
         noise,
     });
-    if before.novelty > 1.0 || before.response_m2 <= 0.0 {
+    if before.novelty.ratio > 1.0 || before.response_m2 <= 0.0 {
         return estimate;
     }
     let healthy_limit = relative.view(load_change.is_some()).calibration.healthy_limit;
@@ -70,7 +70,6 @@ fn compare(
         response_m2: -before.response_m2,
         contributions_m2: before.contributions_m2.map(|part| -part),
         novelty: before.novelty,
-        newest_phase: before.newest_phase,
     }
 }
 
@@ -103,14 +102,25 @@ impl Follower {
         self.drift = drift;
     }
 
-    /// Compares a cycle that ends at a time, s. One unlike everything that training has seen leaves sums and trend alone.
-    pub fn take(&mut self, model: &Model, cycle: &ValidCycle<'_>, end_s: f64) -> Option<Followed> {
+    /// Compares a cycle, and remembers nothing of it: the estimate, what is known of the load, and its change.
+    pub fn compare(
+        &self,
+        model: &Model,
+        cycle: &ValidCycle<'_>,
+    ) -> Option<(RelativeEstimate, LoadKnowledge, Option<f64>)> {
         let relative = model.relative()?;
         let present = cycle.statistics.phase_means();
         let (load, load_change) = self.load_of(cycle);
         let estimate =
             compare(relative, &self.baseline.mean, present.get(..relative.phases())?, load_change, cycle);
-        let is_new = estimate.novelty > 1.0;
+        Some((estimate, load, load_change))
+    }
+
+    /// Compares a cycle that ends at a time, s. One unlike everything that training has seen leaves sums and trend alone.
+    pub fn take(&mut self, model: &Model, cycle: &ValidCycle<'_>, end_s: f64) -> Option<Followed> {
+        let (estimate, load, load_change) = self.compare(model, cycle)?;
+        let relative = model.relative()?;
+        let is_new = estimate.novelty.ratio > 1.0;
         if !is_new {
             self.drift.take(estimate.response_m2, &self.limits(relative, load_change.is_some()));
             if self.drift.cycles_since_onset() == 0 {

@@ -87,7 +87,7 @@ impl Learner {
         }
         let middle: Vec<f64> =
             (0..phases).map(|phase| median(self.cycles.iter().map(|cycle| cycle.means[phase]))).collect();
-        let is_alike = |cycle: &&Learned| compare(relative, &middle, cycle, None).novelty <= 1.0;
+        let is_alike = |cycle: &&Learned| compare(relative, &middle, cycle, None).novelty.ratio <= 1.0;
         let kept: Vec<&Learned> = self.cycles.iter().filter(is_alike).collect();
         if kept.len() < LEAST_CYCLES {
             return Err(format!(

@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::baseline::BaselineFile;
 use crate::cli::Outcome;
-use crate::config::{Config, load_model};
+use crate::config::{Config, NamedModel, load_model};
 use crate::failure::{Code, Failure};
 use crate::sink::terminal::print;
 use crate::source::frame_decoder;
@@ -145,22 +145,27 @@ fn check_configuration(path: &Path) -> Result<String, Failure> {
                 format!("{}: axis {}: {}", path.display(), axis.axis, failure.message),
             )
         };
-        let model = axis.load_model().map_err(of_axis)?;
-        if let Some(baseline) = &axis.baseline.file {
-            BaselineFile::read(baseline, &model).map_err(of_axis)?;
+        let models = axis.load_models().map_err(of_axis)?;
+        for (named, baseline) in models.iter().zip(axis.baseline_files()) {
+            baseline.map(|file| BaselineFile::read(file, &named.model)).transpose().map_err(of_axis)?;
         }
         if axis.dbc.is_some() || axis.source.can.is_some() {
             frame_decoder(axis).map_err(of_axis)?;
         }
         axes.push(format!(
-            "axis {}, {} mapped signals, model of {} trees",
+            "axis {}, {} mapped signals, {}",
             axis.axis,
             axis.signals.len(),
-            model.ensemble().trees()
+            models.iter().map(described).collect::<Vec<_>>().join(", ")
         ));
     }
     check_sinks(&config)?;
     Ok(axes.join("; "))
+}
+
+fn described(NamedModel { name, model }: &NamedModel) -> String {
+    let of_duty_cycle = name.as_ref().map_or(String::new(), |name| format!("duty cycle {name}: "));
+    format!("{of_duty_cycle}model of {} trees", model.ensemble().trees())
 }
 
 /// Whether the files that the sinks need can be read.

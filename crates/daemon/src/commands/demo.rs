@@ -15,7 +15,7 @@ use crate::config::Config;
 use crate::event::{Event, Flag, FlagEvent};
 use crate::failure::Failure;
 use crate::html::demo::{DemoPage, FlagChange, Point};
-use crate::pipeline::{Pipeline, PipelineConfig};
+use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use crate::sink::terminal::{self, Colour};
 use crate::source;
 use seepd_signals::Signal;
@@ -89,9 +89,9 @@ fn wear(arguments: &DemoArguments) -> Vec<Turn> {
 /// Reads the log as any other; the truth is laid beside the estimates afterwards.
 fn replay(log: &Path, spec: &MachineSpec, turns: &[Turn]) -> Result<DemoPage, Failure> {
     let config = Config { axis: "demo press".into(), ..Config::default() };
-    let model = config.load_model()?;
-    let projections = model.projections();
-    let pipeline_config = PipelineConfig::new(&config, &model, &projections);
+    let models = config.load_models()?;
+    let duty_cycles = DutyCycle::all(&models);
+    let pipeline_config = PipelineConfig::new(&config, &duty_cycles);
     let mut pipeline = Pipeline::new(pipeline_config);
     let truth =
         Truth { turns, period_s: spec.cycle.period_s, flow_lpm: &|area| pipeline_config.flow_lpm(area) };

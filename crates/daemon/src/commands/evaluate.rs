@@ -16,7 +16,7 @@ use crate::evaluation::record::MachineRecord;
 use crate::evaluation::{Conditions, Evaluation};
 use crate::failure::{Code, Failure};
 use crate::html::evaluation::EvaluationPage;
-use crate::pipeline::{Pipeline, PipelineConfig};
+use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use crate::progress::{byte_bar, warn};
 use crate::sink::evaluation::write_tables;
 use crate::sink::terminal::{listed, print};
@@ -102,9 +102,9 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
     if arguments.within_cycles == 0 {
         return Err(Failure::new(Code::Usage, "--within-cycles is 0; it must be 1 or more"));
     }
-    let (config, model) = arguments.reading.load()?;
-    let projections = model.projections();
-    let pipeline_config = PipelineConfig::new(&config, &model, &projections);
+    let (config, models) = arguments.reading.load()?;
+    let duty_cycles = DutyCycle::all(&models);
+    let pipeline_config = PipelineConfig::new(&config, &duty_cycles);
     let conditions = Conditions {
         reference_dp_pa: config.reference_dp_pa,
         lpm_per_m2: pipeline_config.flow_lpm(1.0),
@@ -119,7 +119,7 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
     let mut records = Vec::with_capacity(machines.len());
     for logs in machines {
         let mut pipeline = Pipeline::new(pipeline_config);
-        arguments.baseline.apply(&mut pipeline, &config, &model)?;
+        arguments.baseline.apply(&mut pipeline, &config)?;
         let mut record = estimate(logs, &config, &mut pipeline, &bar)?;
         lay_truth_beside(&mut record, logs, arguments, &config, &conditions, &bar)?;
         records.push(record);

@@ -10,9 +10,9 @@ use seepd_model::Model;
 use super::reading::{ReadingArguments, check_cycles};
 use crate::baseline::{Baseline, BaselineFile, MOST_CYCLES};
 use crate::cli::Outcome;
-use crate::config::Config;
+use crate::config::{Config, NamedModel};
 use crate::failure::{Code, Failure};
-use crate::pipeline::{Pipeline, PipelineConfig};
+use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use crate::progress::{byte_bar, warn};
 use crate::sink::terminal::print;
 use crate::source::record;
@@ -41,6 +41,9 @@ pub struct LearnBaselineArguments {
     /// Write over a file that exists: its record is lost
     #[arg(long, conflicts_with = "seal_replaced")]
     force: bool,
+    /// The duty cycle whose baseline is learned, where the configuration has several
+    #[arg(long, value_name = "NAME")]
+    duty_cycle: Option<String>,
     /// Use the first N usable cycles only
     #[arg(long, value_name = "N", default_value_t = MOST_CYCLES)]
     cycles: usize,
@@ -57,19 +60,38 @@ pub struct LearnBaselineArguments {
 /// [`Failure`] for arguments, configuration, logs, or cycles that make no baseline.
 pub fn run(arguments: &LearnBaselineArguments) -> Result<Outcome, Failure> {
     check_cycles("--cycles", arguments.cycles)?;
-    let (config, model) = arguments.reading.load()?;
-    let mut file = record_of(arguments, &config, &model)?;
+    let (config, models) = arguments.reading.load()?;
+    let which = chosen(arguments.duty_cycle.as_deref(), &models)?;
+    let model = &models[which].model;
+    let mut file = record_of(arguments, &config, model)?;
     let usual = if arguments.seal_replaced { "seal replaced" } else { "commissioning" };
     let occasion = arguments.occasion.as_deref().unwrap_or(usual);
-    let baseline = learn(arguments, &config, &model, occasion)?;
+    let baseline = learn(arguments, &config, (&models, which), occasion)?;
     file.baselines.push(baseline);
     let writing = |error: io::Error| Failure::writing(&arguments.out, error);
     let text = file.to_json().map_err(io::Error::from).map_err(writing)?;
     fs::write(&arguments.out, text).map_err(writing)?;
     if let Some(baseline) = file.newest() {
-        tell(arguments, &model, baseline)?;
+        tell(arguments, model, baseline)?;
     }
     Ok(Outcome::Good)
+}
+
+/// Index of the duty cycle whose baseline is learned.
+fn chosen(name: Option<&str>, models: &[NamedModel]) -> Result<usize, Failure> {
+    let known: Vec<&str> = models.iter().filter_map(|model| model.name.as_deref()).collect();
+    let usage = |text: String| Err(Failure::new(Code::Usage, text));
+    match name {
+        None if models.len() == 1 => Ok(0),
+        None => usage(format!("--duty-cycle is missing; the configuration has {}", known.join(", "))),
+        Some(name) => match known.iter().position(|known| *known == name) {
+            Some(index) => Ok(index),
+            None if known.is_empty() => {
+                usage(format!("--duty-cycle {name}: the configuration has no [[duty_cycles]]"))
+            }
+            None => usage(format!("--duty-cycle {name}: the configuration has {}", known.join(", "))),
+        },
+    }
 }
 
 /// The file's record so far.
@@ -95,12 +117,12 @@ fn record_of(
 fn learn(
     arguments: &LearnBaselineArguments,
     config: &Config,
-    model: &Model,
+    (models, which): (&[NamedModel], usize),
     occasion: &str,
 ) -> Result<Baseline, Failure> {
-    let projections = model.projections();
-    let mut pipeline = Pipeline::new(PipelineConfig::new(config, model, &projections));
-    pipeline.learn(occasion, arguments.cycles);
+    let duty_cycles = DutyCycle::all(models);
+    let mut pipeline = Pipeline::new(PipelineConfig::new(config, &duty_cycles));
+    pipeline.monitors_mut()[which].learn(occasion, arguments.cycles);
     let sizes = arguments.logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum();
     let bar = byte_bar(sizes, "learning");
     let notes = record::each_sample(&arguments.logs, config, &bar, |sample| {
@@ -110,9 +132,10 @@ fn learn(
     pipeline.finish(&mut |_| ());
     bar.finish_and_clear();
     notes.iter().for_each(|note| warn(note));
-    match (pipeline.baseline(), pipeline.learner()) {
+    let monitor = &pipeline.monitors()[which];
+    match (monitor.baseline(), monitor.learner()) {
         (Some(baseline), _) => Ok(baseline.clone()),
-        (None, Some(learner)) => learner.baseline(model).map_err(|message| {
+        (None, Some(learner)) => learner.baseline(monitor.model()).map_err(|message| {
             let rejected = pipeline.summary().rejected;
             let listed: Vec<String> =
                 rejected.iter().map(|(name, count)| format!("{count} {name}")).collect();

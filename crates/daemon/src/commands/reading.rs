@@ -3,10 +3,9 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use seepd_model::Model;
 
 use crate::baseline::{BaselineFile, LEAST_CYCLES, MOST_CYCLES, relative_of};
-use crate::config::{Config, Selection, load_model};
+use crate::config::{Config, NamedModel, Selection};
 use crate::failure::{Code, Failure};
 use crate::pipeline::Pipeline;
 
@@ -31,19 +30,23 @@ pub struct ReadingArguments {
 }
 
 impl ReadingArguments {
-    /// The configuration with what the command line says on top, and the model.
+    /// The configuration with what the command line says on top, and each duty cycle's model.
     ///
     /// # Errors
     /// [`Failure`] of either file.
-    pub fn load(&self) -> Result<(Config, Model), Failure> {
+    pub fn load(&self) -> Result<(Config, Vec<NamedModel>), Failure> {
         let mut config = self.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
         config.selection = Selection { topic: self.topic.clone(), command: self.command.clone() };
         config.dbc = self.dbc.clone().or(config.dbc);
-        let model = match &self.model {
-            Some(path) => load_model(path)?,
-            None => config.load_model()?,
-        };
-        Ok((config, model))
+        if let Some(path) = &self.model {
+            if !config.duty_cycles.is_empty() {
+                let text = "--model: the configuration has several duty cycles, each with its own model";
+                return Err(Failure::new(Code::Usage, text));
+            }
+            config.model = Some(path.clone());
+        }
+        let models = config.load_models()?;
+        Ok((config, models))
     }
 }
 
@@ -59,21 +62,35 @@ pub struct BaselineArguments {
 }
 
 impl BaselineArguments {
-    /// Takes the baseline that command line or configuration name.
+    /// Takes the baselines that command line or configuration name.
     ///
     /// # Errors
     /// [`Failure`] of the file, or of the count of cycles.
-    pub fn apply(&self, pipeline: &mut Pipeline<'_>, config: &Config, model: &Model) -> Result<(), Failure> {
+    pub fn apply(&self, pipeline: &mut Pipeline<'_>, config: &Config) -> Result<(), Failure> {
         if let Some(cycles) = self.learn_cycles {
             check_cycles("--learn-cycles", cycles)?;
-            relative_of(model).map_err(|what| Failure::new(Code::Configuration, what))?;
+            for monitor in pipeline.monitors() {
+                relative_of(monitor.model()).map_err(|what| Failure::new(Code::Configuration, what))?;
+            }
             pipeline.learn("first cycles", cycles);
-        } else if let Some(path) = self.baseline.as_ref().or(config.baseline.file.as_ref()) {
-            let file = BaselineFile::read(path, model)?;
+            return Ok(());
+        }
+        let mut files = config.baseline_files();
+        if let Some(path) = &self.baseline {
+            if files.len() > 1 {
+                let text =
+                    "--baseline: the configuration has several duty cycles; name their baselines there";
+                return Err(Failure::new(Code::Usage, text));
+            }
+            files = vec![Some(path)];
+        }
+        for (monitor, path) in pipeline.monitors_mut().iter_mut().zip(files) {
+            let Some(path) = path else { continue };
+            let file = BaselineFile::read(path, monitor.model())?;
             let Some(baseline) = file.newest() else {
                 return Err(Failure::configuration(path, "has no baseline; see seepd learn-baseline"));
             };
-            pipeline.follow(baseline.clone());
+            monitor.follow(baseline.clone());
         }
         Ok(())
     }

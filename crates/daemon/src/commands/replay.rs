@@ -13,7 +13,7 @@ use crate::config::Config;
 use crate::event::{Event, Flag, Summary};
 use crate::failure::{Code, Failure};
 use crate::html::report::ReportPage;
-use crate::pipeline::{Pipeline, PipelineConfig};
+use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use crate::progress::byte_bar;
 use crate::sink::csv::CsvSink;
 use crate::sink::html::HtmlSink;
@@ -77,7 +77,7 @@ struct Files {
 /// # Errors
 /// [`Failure`] for configuration, model, logs or output.
 pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
-    let (mut config, model) = arguments.reading.load()?;
+    let (mut config, models) = arguments.reading.load()?;
     if let Some(mpa) = arguments.reference_mpa {
         if !(0.1..=100.0).contains(&mpa) {
             return Err(Failure::new(
@@ -87,22 +87,21 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         }
         config.reference_dp_pa = mpa * 1e6;
     }
-    let projections = model.projections();
-    let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &model, &projections));
-    arguments.baseline.apply(&mut pipeline, &config, &model)?;
+    let duty_cycles = DutyCycle::all(&models);
+    let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &duty_cycles));
+    arguments.baseline.apply(&mut pipeline, &config)?;
     let create =
         |path: &Path| File::create(path).map(BufWriter::new).map_err(|error| Failure::writing(path, error));
     let mut files = Files::default();
     if let Some(path) = &arguments.csv {
-        files.csv = Some(CsvSink::new(create(path)?, model.feature_names()));
+        files.csv = Some(CsvSink::new(create(path)?, DutyCycle::feature_names(&duty_cycles)));
     }
     if let Some(path) = &arguments.mcap {
         files.mcap = Some(EventSink::new(create(path)?).map_err(|error| Failure::writing(path, error))?);
     }
     if arguments.html.is_some() {
         let healthy_below_lpm = config.alarm.clear_share * config.alarm.watch_lpm;
-        files.html =
-            Some(HtmlSink::new(model.file().cycle.period_s, model.file().sample_rate_hz, healthy_below_lpm));
+        files.html = Some(HtmlSink::new(&duty_cycles, healthy_below_lpm));
     }
     let mut out = Printer::new(arguments, config.reference_dp_pa);
     let notes = replay_logs(arguments, &config, &mut pipeline, &mut files, &mut out)?;
@@ -111,7 +110,6 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         let page = ReportPage {
             record,
             summary: &summary,
-            features: model.feature_names(),
             alarm: &config.alarm,
             area_m2_per_lpm: 1.0 / pipeline.config().flow_lpm(1.0),
             operating_hours_per_year: config.operating_hours_per_year,
@@ -129,7 +127,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         return Err(Failure::data(format!(
             "the command comes at {rate:.1} Hz, the model reads {} Hz: no cycle could be used; train a model for this \
              rate (controller.period_s in the plant file)",
-            model.file().sample_rate_hz
+            models[0].model.file().sample_rate_hz
         )));
     }
     let fault = summary.highest_flag >= Flag::Watch;

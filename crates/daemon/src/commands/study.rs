@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use crate::cli::Outcome;
-use crate::config::Config;
+use crate::config::embedded_model;
 use crate::failure::{Code, Failure};
 use crate::html::study::StudyPage;
 use crate::progress::progress_bar;
@@ -35,7 +35,7 @@ pub struct StudyArguments {
 /// # Errors
 /// [`Failure`] where the page cannot be written.
 pub fn run(arguments: &StudyArguments) -> Result<Outcome, Failure> {
-    let model = Config::default().load_model()?;
+    let model = embedded_model()?;
     let bar = progress_bar(seepd_study::STEPS as u64, "studying");
     bar.enable_steady_tick(std::time::Duration::from_millis(200));
     let study = seepd_study::run(&model, arguments.seed, &mut |done| bar.set_position(done as u64))

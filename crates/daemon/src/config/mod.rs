@@ -28,6 +28,8 @@ pub struct Config {
     pub axis: String,
     /// Model file, relative to this file; absent: the one that the program brings.
     pub model: Option<PathBuf>,
+    /// Several duty cycles of the axis, each with its own model; `model` and `baseline.file` are then left out.
+    pub duty_cycles: Vec<DutyCycleConfig>,
     /// Pressure difference at which leaks are given as flows, Pa.
     pub reference_dp_pa: f64,
     /// Hours that the machine runs in a year, for the energy that a leak costs.
@@ -91,6 +93,27 @@ pub struct SignalMapping {
     pub bits: Option<BitsMapping>,
 }
 
+/// `[[duty_cycles]]`: one of several duty cycles of an axis.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DutyCycleConfig {
+    /// Name in messages.
+    pub name: String,
+    /// Model that was trained on this duty cycle, relative to this file.
+    pub model: PathBuf,
+    /// Baseline of this duty cycle from `seepd learn-baseline`, relative to this file.
+    pub baseline: Option<PathBuf>,
+}
+
+/// A duty cycle's model.
+#[derive(Debug)]
+pub struct NamedModel {
+    /// The duty cycle's name, where the axis has several.
+    pub name: Option<String>,
+    /// The model.
+    pub model: Model,
+}
+
 /// The `[baseline]` table: what estimates are relative to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
 #[serde(default, deny_unknown_fields)]
@@ -106,6 +129,7 @@ impl Default for Config {
         Config {
             axis: "axis".into(),
             model: None,
+            duty_cycles: Vec::new(),
             reference_dp_pa: 7e6,
             operating_hours_per_year: 8760.0,
             time_column: "t_s".into(),
@@ -195,7 +219,7 @@ impl Config {
     }
 
     fn check_axis(&self) -> Result<(), String> {
-        if self.axis.is_empty() || self.axis.contains(['/', '#', '+', '\0', '"', '\\']) {
+        if !is_name(&self.axis) {
             return Err(format!("axis is `{}`; names have no / # + \" \\ and are not empty", self.axis));
         }
         if !(1e5..=1e8).contains(&self.reference_dp_pa) {
@@ -221,8 +245,30 @@ impl Config {
                 "baseline.learn_cycles is {learned}; it must be 0 or lie in {LEAST_CYCLES} … {MOST_CYCLES}"
             ));
         }
+        self.check_duty_cycles()?;
         self.source.check()?;
         self.alarm.check()
+    }
+
+    fn check_duty_cycles(&self) -> Result<(), String> {
+        if self.duty_cycles.is_empty() {
+            return Ok(());
+        }
+        if self.model.is_some() || self.baseline.file.is_some() {
+            return Err("duty_cycles: each names its own model and baseline; `model` and `baseline.file` are then left out".into());
+        }
+        let mut names: Vec<&str> =
+            self.duty_cycles.iter().map(|duty_cycle| duty_cycle.name.as_str()).collect();
+        if let Some(wrong) = names.iter().find(|name| !is_name(name)) {
+            return Err(format!(
+                "duty_cycles: name is `{wrong}`; names have no / # + \" \\ and are not empty"
+            ));
+        }
+        names.sort_unstable();
+        if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
+            return Err(format!("two duty cycles are called `{}`", twice[0]));
+        }
+        Ok(())
     }
 
     /// The axes: those of `axes`, or the one at the file's top.
@@ -247,6 +293,10 @@ impl Config {
         self.model.iter_mut().for_each(place);
         self.dbc.iter_mut().for_each(place);
         self.baseline.file.iter_mut().for_each(place);
+        for duty_cycle in &mut self.duty_cycles {
+            place(&mut duty_cycle.model);
+            duty_cycle.baseline.iter_mut().for_each(place);
+        }
         self.state_dir.iter_mut().for_each(place);
         self.source.log.iter_mut().filter(|log| *log != Path::new("-")).for_each(place);
         if let Some(http) = &mut self.http {
@@ -285,18 +335,53 @@ impl Config {
         mapping
     }
 
-    /// The model in force.
+    /// The models in force, one a duty cycle.
     ///
     /// # Errors
-    /// [`Failure`] where the file cannot be read or is no model.
-    pub fn load_model(&self) -> Result<Model, Failure> {
-        match &self.model {
-            Some(path) => load_model(path),
-            None => Model::from_json(crate::EMBEDDED_MODEL).map_err(|error| {
-                Failure::new(Code::Internal, format!("the model that the program brings: {error}"))
-            }),
+    /// [`Failure`] where a file cannot be read or is no model, or where models read at different rates.
+    pub fn load_models(&self) -> Result<Vec<NamedModel>, Failure> {
+        if self.duty_cycles.is_empty() {
+            let model = self.model.as_deref().map_or_else(embedded_model, load_model)?;
+            return Ok(vec![NamedModel { name: None, model }]);
         }
+        let mut models: Vec<NamedModel> = Vec::new();
+        for duty_cycle in &self.duty_cycles {
+            let model = load_model(&duty_cycle.model)?;
+            let rate_hz = model.file().sample_rate_hz;
+            if let Some(first) = models.first().map(|first| first.model.file().sample_rate_hz)
+                && first != rate_hz
+            {
+                let what = format!(
+                    "reads {rate_hz} Hz, the first duty cycle's model {first} Hz; an axis has one command at one rate"
+                );
+                return Err(Failure::configuration(&duty_cycle.model, what));
+            }
+            models.push(NamedModel { name: Some(duty_cycle.name.clone()), model });
+        }
+        Ok(models)
     }
+
+    /// Each duty cycle's baseline file, where the configuration names one, in their order.
+    pub fn baseline_files(&self) -> Vec<Option<&Path>> {
+        if self.duty_cycles.is_empty() {
+            return vec![self.baseline.file.as_deref()];
+        }
+        self.duty_cycles.iter().map(|duty_cycle| duty_cycle.baseline.as_deref()).collect()
+    }
+}
+
+/// Whether a text can be a name in topics and files.
+fn is_name(text: &str) -> bool {
+    !text.is_empty() && !text.contains(['/', '#', '+', '\0', '"', '\\'])
+}
+
+/// The model that the program brings.
+///
+/// # Errors
+/// [`Failure`] where it does not pass its checks, which a test rules out.
+pub fn embedded_model() -> Result<Model, Failure> {
+    Model::from_json(crate::EMBEDDED_MODEL)
+        .map_err(|error| Failure::new(Code::Internal, format!("the model that the program brings: {error}")))
 }
 
 /// Where a secret is: with the service's credentials where systemd has put one of that name there, else relative to the

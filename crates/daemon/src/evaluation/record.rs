@@ -66,11 +66,11 @@ impl CycleRecord {
             Some(Size { leak_area_m2: area?, interval90_m2: interval? })
         };
         let told = size(line.leak_area_m2, line.interval90_m2);
-        let (relative, absolute) = match &line.comparison {
-            Some(comparison) => {
-                (told, size(Some(comparison.absolute_leak_area_m2), Some(comparison.absolute_interval90_m2)))
+        let (relative, absolute) = match (&line.comparison, &line.absolute) {
+            (Some(_), Some(alone)) => {
+                (told, size(Some(alone.absolute_leak_area_m2), Some(alone.absolute_interval90_m2)))
             }
-            None => (None, told),
+            _ => (None, told),
         };
         CycleRecord {
             start_ns: line.t_start_ns,

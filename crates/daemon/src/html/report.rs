@@ -15,8 +15,6 @@ pub struct ReportPage<'a> {
     pub record: &'a HtmlSink,
     /// What it comes to.
     pub summary: &'a Summary,
-    /// Names of the features.
-    pub features: &'a [String],
     /// Thresholds.
     pub alarm: &'a AlarmConfig,
     /// Leak area of 1 L/min at the reference pressure difference, m².
@@ -60,7 +58,7 @@ impl ReportPage<'_> {
                 h2 { "The features" }
                 p.soft { "What the trees see of each cycle, over the cycle's number. A step in all of them at once is a change of the machine "
                     "(valve, load, duty cycle) rather than wear." }
-                div.grid-3 { @for index in 0..self.features.len() { (self.feature_chart(index).render()) } }
+                div.grid-3 { @for index in 0..self.record.feature_names.len() { (self.feature_chart(index).render()) } }
             }
             h2 { "The logs" }
             (self.logs())
@@ -267,6 +265,7 @@ impl ReportPage<'_> {
         let points: Vec<(f64, f64)> = self
             .points()
             .filter_map(|point| point.features.get(index).map(|value| (point.cycle as f64, *value)))
+            .filter(|(_, value)| value.is_finite())
             .collect();
         let low = points.iter().map(|point| point.1).fold(f64::INFINITY, f64::min);
         let high = points.iter().map(|point| point.1).fold(f64::NEG_INFINITY, f64::max);
@@ -275,7 +274,7 @@ impl ReportPage<'_> {
             size: Size::Small,
             layers: vec![Layer::Line { class: "stroke-a", points }],
             ..Chart::new(
-                &self.features[index],
+                &self.record.feature_names[index],
                 self.cycle_axis("cycle"),
                 Axis::linear("", low - margin, high + margin),
             )

@@ -5,21 +5,20 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use seepd_model::Model;
 use seepd_signals::{Sample, Signal};
 use tokio::sync::{mpsc, watch};
 
 use super::clock::Clock;
 use super::commission::Record;
-use super::hub::{AxisStatus, BaselineStatus, Course, Hub, LIVE_POINTS, Order, TrendPoint};
-use super::state::{AxisState, Keeper, LastEstimate};
+use super::hub::{AxisStatus, BaselineStatus, Course, DutyCycleStatus, Hub, LIVE_POINTS, Order, TrendPoint};
+use super::state::{AxisState, DutyCycleState, Keeper, LastEstimate};
 use super::systemd::ENDED;
 use crate::alarm::{Alarm, AlarmState, Latch};
 use crate::baseline::Finding;
 use crate::baseline::trend::TimeTo;
-use crate::config::{Config, Pace};
+use crate::config::{Config, NamedModel, Pace};
 use crate::event::{CycleLine, Event, Flag, NoticeKind};
-use crate::pipeline::{Pipeline, PipelineConfig};
+use crate::pipeline::{DutyCycle, Monitor, Pipeline, PipelineConfig};
 use crate::sink::recording::Recorder;
 use crate::source::live::{Input, LiveSource, SourceState};
 
@@ -47,21 +46,23 @@ pub struct Surroundings {
 /// Runs an axis until it is told to stop or its log ends. `true` where the log ended.
 pub async fn run(
     config: Config,
-    model: Model,
+    models: Vec<NamedModel>,
     mut source: LiveSource,
     around: Surroundings,
     mut orders: mpsc::Receiver<Order>,
     mut stop: watch::Receiver<bool>,
 ) -> bool {
-    let projections = model.projections();
-    let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &model, &projections));
-    let mut desk = Desk::new(&config, &model, &around);
+    let duty_cycles = DutyCycle::all(&models);
+    let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &duty_cycles));
+    let mut desk = Desk::new(&config, &pipeline, &around);
     let state = around.keeper.restored(&config.axis);
-    desk.record.commission(&mut pipeline, state.is_some_and(|state| state.renewing));
+    let of_duty_cycles = state.as_ref().map(|state| &state.duty_cycles);
+    for (record, monitor) in desk.records.iter_mut().zip(pipeline.monitors_mut()) {
+        let state = of_duty_cycles.and_then(|states| states.get(monitor.name().unwrap_or_default()));
+        record.commission(monitor, state.copied().unwrap_or_default());
+    }
     if let Some(state) = state {
         pipeline.restore(Alarm::from(state.alarm));
-        state.drift.into_iter().for_each(|drift| pipeline.restore_drift(drift));
-        desk.renewing = state.renewing;
         desk.latch = state.latch;
         desk.estimate = state.estimate;
     }
@@ -105,12 +106,12 @@ struct Desk<'a> {
     config: &'a Config,
     around: &'a Surroundings,
     latch: Latch,
-    record: Record,
-    /// Whether a new baseline is being learned in the place of an older one.
-    renewing: bool,
+    /// Baselines on disk, one record a duty cycle.
+    records: Vec<Record>,
     /// A baseline has just been learned.
     learned: bool,
-    finding: Finding,
+    /// Index of the last cycle's duty cycle.
+    duty_cycle: usize,
     time_to_leak: Option<TimeTo>,
     points: Points,
     /// Time of the sample that the pipeline is working on.
@@ -135,17 +136,18 @@ struct LastCycle {
 }
 
 impl<'a> Desk<'a> {
-    fn new(config: &'a Config, model: &Model, around: &'a Surroundings) -> Self {
+    fn new(config: &'a Config, pipeline: &Pipeline<'_>, around: &'a Surroundings) -> Self {
         let now_ns = around.clock.now_ns();
-        let cycle_points = 3.5 * model.file().cycle.period_s * 1e9 / POINT_NS as f64;
+        let periods_s = pipeline.monitors().iter().map(|monitor| monitor.model().file().cycle.period_s);
+        let cycle_points = 3.5 * periods_s.fold(0.0, f64::max) * 1e9 / POINT_NS as f64;
+        let record = |monitor| Record::open(&around.folder, config, monitor);
         Desk {
             config,
             around,
             latch: Latch::default(),
-            record: Record::open(&around.folder, config, model),
-            renewing: false,
+            records: pipeline.monitors().iter().enumerate().map(record).collect(),
             learned: false,
-            finding: Finding::None,
+            duty_cycle: 0,
             time_to_leak: None,
             points: Points::new(cycle_points as usize),
             sample_ns: now_ns,
@@ -225,8 +227,15 @@ impl<'a> Desk<'a> {
             _ => None,
         };
         self.estimate = estimate.or(self.estimate);
-        self.finding = line.comparison.as_ref().map_or(Finding::None, |comparison| comparison.finding);
-        self.time_to_leak = line.comparison.as_ref().and_then(|comparison| comparison.time_to_leak);
+        let time_to_leak = line.comparison.as_ref().and_then(|comparison| comparison.time_to_leak);
+        if let Some(name) = line.duty_cycle {
+            // What one duty cycle cannot tell another may have told.
+            self.time_to_leak = time_to_leak.or(self.time_to_leak);
+            let of_name = self.records.iter().position(|record| record.name() == Some(name));
+            self.duty_cycle = of_name.unwrap_or(self.duty_cycle);
+        } else {
+            self.time_to_leak = time_to_leak;
+        }
         let point = estimate.map(|LastEstimate { leak_area_m2, interval90_m2, leak_flow_lpm }| TrendPoint {
             t_ns: end_ns,
             leak_area_m2,
@@ -294,8 +303,10 @@ impl<'a> Desk<'a> {
     /// The seal has been replaced: estimates count from here, as soon as there is a baseline.
     fn renew(&mut self, pipeline: &mut Pipeline<'_>) {
         tracing::info!(axis = self.config.axis, "a new baseline is learned from the next cycles");
-        self.record.renew(pipeline);
-        (self.renewing, self.news) = (true, true);
+        for (record, monitor) in self.records.iter_mut().zip(pipeline.monitors_mut()) {
+            record.renew(monitor);
+        }
+        self.news = true;
         self.keep(pipeline);
     }
 
@@ -304,23 +315,26 @@ impl<'a> Desk<'a> {
         if !std::mem::take(&mut self.learned) {
             return;
         }
-        let Some(baseline) = pipeline.baseline() else { return };
-        match self.record.add(baseline.clone()) {
-            Ok(()) => self.renewing = false,
-            Err(error) => tracing::error!(
-                axis = self.config.axis,
-                "the baseline cannot be kept: {error}; it counts until the next start, and another is learned then"
-            ),
+        for (record, monitor) in self.records.iter_mut().zip(pipeline.monitors()) {
+            if let Err(error) = record.keep(monitor) {
+                tracing::error!(
+                    axis = self.config.axis,
+                    "the baseline cannot be kept: {error}; it counts until the next start, and another is learned then"
+                );
+            }
         }
     }
 
     fn keep(&self, pipeline: &Pipeline<'_>) {
+        let of_duty_cycle = |(record, monitor): (&Record, &Monitor<'_>)| {
+            let state = DutyCycleState { drift: monitor.drift(), renewing: record.is_renewing() };
+            (monitor.name().unwrap_or_default().to_owned(), state)
+        };
         let state = AxisState {
             alarm: AlarmState::from(pipeline.alarm()),
             latch: self.latch,
             estimate: self.estimate,
-            drift: pipeline.drift(),
-            renewing: self.renewing,
+            duty_cycles: self.records.iter().zip(pipeline.monitors()).map(of_duty_cycle).collect(),
         };
         self.around.keeper.keep(&self.config.axis, state);
     }
@@ -346,8 +360,11 @@ impl<'a> Desk<'a> {
             health.state = SourceState::Silent;
         }
         let (latch, stale, last, estimate) = (self.latch, self.stale, self.last, self.estimate);
-        let (finding, time_to_leak) = (self.finding, self.time_to_leak);
-        let baseline = BaselineStatus::of(pipeline);
+        let monitors = pipeline.monitors();
+        let finding = pipeline.finding();
+        let time_to_leak = self.time_to_leak.filter(|_| finding == Finding::Leak);
+        let baseline = monitors.get(self.duty_cycle).map(BaselineStatus::of).unwrap_or_default();
+        let duty_cycles = monitors.iter().filter_map(DutyCycleStatus::of).collect();
         let summary = pipeline.summary();
         let fresh = &mut self.points.fresh;
         self.around.hub.update_axis(&self.config.axis, |status, view| {
@@ -365,6 +382,7 @@ impl<'a> Desk<'a> {
                 time_to_leak_s: time_to_leak.map(|time| time.expected_s),
                 time_to_leak_range_s: time_to_leak.map(|time| [time.earliest_s, time.latest_s]),
                 baseline,
+                duty_cycles,
                 finding,
                 cycle: last.map(|last| last.cycle),
                 t_last_cycle_ns: last.map(|last| last.end_ns),

@@ -1,32 +1,38 @@
-//! An axis's baselines on disk: `baseline-AXIS.json` in the state folder, the form of `seepd learn-baseline`.
+//! A duty cycle's baselines on disk: `baseline-AXIS.json` in the state folder, of several duty cycles `baseline-AXIS-NAME.json`; the form
+//! of `seepd learn-baseline`.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
-use seepd_model::Model;
-
-use super::state::{set_aside, write_durably};
-use crate::baseline::{Baseline, BaselineFile};
+use super::state::{DutyCycleState, set_aside, write_durably};
+use crate::baseline::BaselineFile;
 use crate::config::Config;
-use crate::pipeline::Pipeline;
+use crate::pipeline::Monitor;
 
 /// Cycles of a baseline that a person asks for where the configuration names none.
 const USUAL_CYCLES: usize = 50;
 
-/// Where an axis's baselines are kept, and what is known of them.
+/// Where a duty cycle's baselines are kept, and what is known of them.
 #[derive(Debug)]
 pub struct Record {
     path: PathBuf,
+    duty_cycle: Option<String>,
     file: BaselineFile,
     learn_cycles: usize,
+    /// Whether a new baseline is being learned in the place of an older one.
+    renewing: bool,
 }
 
 impl Record {
-    /// What an earlier run has learned, or else what the configuration names. A file that cannot be used is told of and set aside.
-    pub fn open(folder: &Path, config: &Config, model: &Model) -> Self {
-        let path = folder.join(format!("baseline-{}.json", config.axis));
+    /// What an earlier run has learned of the duty cycle of that index, or else what the configuration names. A file that cannot be
+    /// used is told of and set aside.
+    pub fn open(folder: &Path, config: &Config, (index, monitor): (usize, &Monitor<'_>)) -> Self {
+        let of_duty_cycle = monitor.name().map_or(String::new(), |name| format!("-{name}"));
+        let path = folder.join(format!("baseline-{}{of_duty_cycle}.json", config.axis));
+        let model = monitor.model();
         let own = path.exists().then(|| BaselineFile::read(&path, model));
-        let given = || config.baseline.file.as_ref().map(|file| BaselineFile::read(file, model));
+        let files = config.baseline_files();
+        let given = || files.get(index).copied().flatten().map(|file| BaselineFile::read(file, model));
         let file = match own {
             Some(Err(failure)) => {
                 let aside = set_aside(&path);
@@ -40,32 +46,53 @@ impl Record {
             read.inspect_err(|failure| tracing::error!(axis = config.axis, "{}", failure.message)).ok()
         });
         let file = file.unwrap_or_else(|| BaselineFile::new(&config.axis, model));
-        Record { path, file, learn_cycles: config.baseline.learn_cycles }
+        let duty_cycle = monitor.name().map(str::to_owned);
+        Record { path, duty_cycle, file, learn_cycles: config.baseline.learn_cycles, renewing: false }
     }
 
-    /// Sets a pipeline on its way: with the newest baseline, or to learn one. `again` where one was being learned as an earlier run ended.
-    pub fn commission(&self, pipeline: &mut Pipeline<'_>, again: bool) {
+    /// The duty cycle's name, where the axis has several.
+    pub fn name(&self) -> Option<&str> {
+        self.duty_cycle.as_deref()
+    }
+
+    /// Whether a new baseline is being learned in the place of an older one.
+    pub fn is_renewing(&self) -> bool {
+        self.renewing
+    }
+
+    /// Sets a monitor on its way as an earlier run left it: with the newest baseline, or to learn one.
+    pub fn commission(&mut self, monitor: &mut Monitor<'_>, state: DutyCycleState) {
         match self.file.newest() {
-            Some(baseline) if !again => pipeline.follow(baseline.clone()),
-            None if self.learn_cycles > 0 => pipeline.learn("commissioning", self.learn_cycles),
-            _ if again => self.renew(pipeline),
-            _ => {}
+            _ if state.renewing => self.renew(monitor),
+            Some(baseline) => {
+                monitor.follow(baseline.clone());
+                state.drift.into_iter().for_each(|drift| monitor.restore_drift(drift));
+            }
+            None if self.learn_cycles > 0 => monitor.learn("commissioning", self.learn_cycles),
+            None => {}
         }
     }
 
     /// Learns a new baseline from the next cycles; the older ones stay in the record.
-    pub fn renew(&self, pipeline: &mut Pipeline<'_>) {
+    pub fn renew(&mut self, monitor: &mut Monitor<'_>) {
         let cycles = if self.learn_cycles > 0 { self.learn_cycles } else { USUAL_CYCLES };
-        pipeline.learn("seal replaced", cycles);
+        monitor.learn("seal replaced", cycles);
+        self.renewing = true;
     }
 
-    /// Adds a baseline. It is on disk when this returns, before the state may say that there is nothing to learn any more; a seal is
-    /// replaced rarely enough to wait for the disk.
+    /// Keeps the monitor's baseline, if it is a new one. It is on disk when this returns, before the state may say that there is nothing
+    /// to learn any more; a seal is replaced rarely enough to wait for the disk.
     ///
     /// # Errors
     /// Writing failed; it counts until the daemon ends.
-    pub fn add(&mut self, baseline: Baseline) -> io::Result<()> {
-        self.file.baselines.push(baseline);
-        write_durably(&self.path, self.file.to_json()?.as_bytes())
+    pub fn keep(&mut self, monitor: &Monitor<'_>) -> io::Result<()> {
+        let Some(baseline) = monitor.baseline().filter(|baseline| self.file.newest() != Some(baseline))
+        else {
+            return Ok(());
+        };
+        self.file.baselines.push(baseline.clone());
+        write_durably(&self.path, self.file.to_json()?.as_bytes())?;
+        self.renewing = false;
+        Ok(())
     }
 }

@@ -10,7 +10,7 @@ use crate::baseline::Finding;
 use crate::energy::Loss;
 use crate::event::{Event, Flag, FlagEvent};
 use crate::live::clock;
-use crate::pipeline::Pipeline;
+use crate::pipeline::Monitor;
 use crate::source::live::SourceHealth;
 
 /// Cycles whose course is kept for the dashboard.
@@ -54,8 +54,11 @@ pub struct AxisStatus {
     pub time_to_leak_s: Option<f64>,
     /// The shortest and the longest that the points so far admit, s.
     pub time_to_leak_range_s: Option<[f64; 2]>,
-    /// What estimates are relative to.
+    /// What estimates are relative to; of several duty cycles, that of the last cycle's.
     pub baseline: BaselineStatus,
+    /// The duty cycles, where there are several.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub duty_cycles: Vec<DutyCycleStatus>,
     /// What the sums over cycles say against the baseline.
     pub finding: Finding,
     /// Number of the last cycle.
@@ -94,6 +97,7 @@ impl AxisStatus {
             time_to_leak_s: None,
             time_to_leak_range_s: None,
             baseline: BaselineStatus::default(),
+            duty_cycles: Vec::new(),
             finding: Finding::None,
             cycle: None,
             t_last_cycle_ns: None,
@@ -106,7 +110,26 @@ impl AxisStatus {
     }
 }
 
-/// What an axis's estimates are relative to.
+/// One of an axis's several duty cycles.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct DutyCycleStatus {
+    /// Name.
+    pub name: String,
+    /// Cycles with an estimate.
+    pub cycles: u64,
+    /// Its baseline.
+    pub baseline: BaselineStatus,
+}
+
+impl DutyCycleStatus {
+    /// What a monitor is at; nothing for the only one of an axis.
+    pub fn of(monitor: &Monitor<'_>) -> Option<Self> {
+        let name = monitor.name()?.to_owned();
+        Some(DutyCycleStatus { name, cycles: monitor.cycles(), baseline: BaselineStatus::of(monitor) })
+    }
+}
+
+/// What a duty cycle's estimates are relative to.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct BaselineStatus {
     /// Cycles of the baseline in force; null where there is none.
@@ -118,12 +141,12 @@ pub struct BaselineStatus {
 }
 
 impl BaselineStatus {
-    /// What a pipeline is at.
-    pub fn of(pipeline: &Pipeline<'_>) -> Self {
+    /// What a duty cycle's monitor is at.
+    pub fn of(monitor: &Monitor<'_>) -> Self {
         BaselineStatus {
-            learned_cycles: pipeline.baseline().map(|baseline| baseline.cycles),
-            occasion: pipeline.baseline().map(|baseline| baseline.occasion.clone()),
-            learning: pipeline.learner().map(|learner| [learner.cycles(), learner.wanted()]),
+            learned_cycles: monitor.baseline().map(|baseline| baseline.cycles),
+            occasion: monitor.baseline().map(|baseline| baseline.occasion.clone()),
+            learning: monitor.learner().map(|learner| [learner.cycles(), learner.wanted()]),
         }
     }
 }

@@ -21,13 +21,12 @@ use std::thread;
 use std::time::{Duration, SystemTime};
 
 use sd_notify::NotifyState;
-use seepd_model::Model;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 
-use crate::config::{CanOutConfig, Config, HttpConfig, MqttConfig, RecordingConfig};
+use crate::config::{CanOutConfig, Config, HttpConfig, MqttConfig, NamedModel, RecordingConfig};
 use crate::failure::{Code, Failure};
 use crate::sink::can::{self, Layout};
 use crate::sink::http::{self, Http};
@@ -169,7 +168,7 @@ struct Daemon {
 /// An axis whose files have been read and found good.
 struct ReadyAxis {
     config: Config,
-    model: Model,
+    models: Vec<NamedModel>,
     source: LiveSource,
 }
 
@@ -216,9 +215,10 @@ impl Daemon {
     }
 
     fn prepare(&self, config: &Config) -> Result<ReadyAxis, Failure> {
-        let model = config.load_model()?;
-        let source = LiveSource::open(config, model.file().sample_rate_hz, self.clock)?;
-        Ok(ReadyAxis { config: config.clone(), model, source })
+        let models = config.load_models()?;
+        let rate_hz = models.first().map_or(0.0, |first| first.model.file().sample_rate_hz);
+        let source = LiveSource::open(config, rate_hz, self.clock)?;
+        Ok(ReadyAxis { config: config.clone(), models, source })
     }
 
     fn show_unusable(&self, config: &Config, failure: &Failure) {
@@ -231,7 +231,7 @@ impl Daemon {
     }
 
     fn start_axis(&mut self, ready: ReadyAxis) {
-        let ReadyAxis { config, model, source } = ready;
+        let ReadyAxis { config, models, source } = ready;
         let (order_sender, orders) = mpsc::channel(8);
         let (stop, stopped) = watch::channel(false);
         let progress = Arc::new(AtomicU64::new(0));
@@ -250,7 +250,7 @@ impl Daemon {
             progress: Arc::clone(&progress),
         };
         let model_changed = changed(&config);
-        let task = tokio::spawn(axis::run(config.clone(), model, source, around, orders, stopped));
+        let task = tokio::spawn(axis::run(config.clone(), models, source, around, orders, stopped));
         self.axes.push(RunningAxis { config, model_changed, stop, task, progress });
         self.watch_axes();
     }
@@ -532,8 +532,9 @@ fn sink_configs(config: &Config) -> Vec<SinkConfig> {
 
 /// When the files that an axis is made of were last changed: the newest of them.
 fn changed(config: &Config) -> Option<SystemTime> {
-    let files = [&config.model, &config.dbc];
-    files.into_iter().flatten().filter_map(|path| fs::metadata(path).ok()?.modified().ok()).max()
+    let of_duty_cycles = config.duty_cycles.iter().map(|duty_cycle| &duty_cycle.model);
+    let files = [&config.model, &config.dbc].into_iter().flatten().chain(of_duty_cycles);
+    files.filter_map(|path| fs::metadata(path).ok()?.modified().ok()).max()
 }
 
 /// A name that no other run has: 64 random bits, which the standard library takes from the system.

@@ -27,7 +27,7 @@ const TREND_NAME: &str = "trend.json";
 const TREND_SCHEMA: &str = "seepd.trend/1";
 
 /// What is kept of an axis.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AxisState {
     /// Alarm.
     pub alarm: AlarmState,
@@ -36,18 +36,24 @@ pub struct AxisState {
     /// The last estimate.
     #[serde(default)]
     pub estimate: Option<LastEstimate>,
-    /// The sums over cycles against the baseline.
+    /// What is kept of each duty cycle, by its name; the only one of an axis has none.
     #[serde(default)]
+    pub duty_cycles: BTreeMap<String, DutyCycleState>,
+}
+
+/// What is kept of a duty cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct DutyCycleState {
+    /// The sums over cycles against the baseline.
     pub drift: Option<Drift>,
     /// Whether a new baseline is being learned in the place of an older one.
-    #[serde(default)]
     pub renewing: bool,
 }
 
 impl AxisState {
     /// The state of an alarm of which nothing else is known.
     fn of_alarm(alarm: AlarmState) -> Self {
-        AxisState { alarm, latch: Latch::default(), estimate: None, drift: None, renewing: false }
+        AxisState { alarm, latch: Latch::default(), estimate: None, duty_cycles: BTreeMap::new() }
     }
 }
 
@@ -126,7 +132,7 @@ impl Keeper {
 
     /// What is kept of an axis.
     pub fn restored(&self, axis: &str) -> Option<AxisState> {
-        self.axes.lock().unwrap_or_else(PoisonError::into_inner).get(axis).copied()
+        self.axes.lock().unwrap_or_else(PoisonError::into_inner).get(axis).cloned()
     }
 
     /// Keeps an axis's state; it is on disk soon.
@@ -240,8 +246,10 @@ mod tests {
         let latch = Latch { latched: Some(Flag::Leak), acknowledged: true };
         let estimate =
             Some(LastEstimate { leak_area_m2: 1e-7, interval90_m2: [0.9e-7, 1.1e-7], leak_flow_lpm: 0.5 });
-        let state = AxisState { latch, estimate, renewing: true, ..AxisState::of_alarm(leaking()) };
-        keeper.keep("press", state);
+        let renewing = DutyCycleState { drift: None, renewing: true };
+        let duty_cycles = BTreeMap::from([("long".to_owned(), renewing)]);
+        let state = AxisState { latch, estimate, duty_cycles, ..AxisState::of_alarm(leaking()) };
+        keeper.keep("press", state.clone());
         keeper.write(&folder).unwrap();
         let again = Keeper::open(&folder).unwrap();
         assert_eq!(again.restored("press"), Some(state));

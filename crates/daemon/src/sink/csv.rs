@@ -13,8 +13,8 @@ pub struct CsvSink<W: Write> {
 
 impl<W: Write> CsvSink<W> {
     /// Rows with these features.
-    pub fn new(out: W, feature_names: &[String]) -> Self {
-        CsvSink { writer: csv::Writer::from_writer(out), names: feature_names.to_vec(), started: false }
+    pub fn new(out: W, feature_names: Vec<String>) -> Self {
+        CsvSink { writer: csv::Writer::from_writer(out), names: feature_names, started: false }
     }
 
     /// Writes a cycle; flag events have no row of their own.
@@ -35,6 +35,7 @@ impl<W: Write> CsvSink<W> {
         let fixed = [
             "axis",
             "cycle",
+            "duty_cycle",
             "t_start_s",
             "t_end_s",
             "t_start_ns",
@@ -55,6 +56,7 @@ impl<W: Write> CsvSink<W> {
         let mut row = vec![
             line.axis.to_owned(),
             line.cycle.to_string(),
+            line.duty_cycle.unwrap_or_default().to_owned(),
             line.t_start_s.to_string(),
             line.t_end_s.to_string(),
             line.t_start_ns.to_string(),
@@ -66,8 +68,9 @@ impl<W: Write> CsvSink<W> {
             line.flag.name().to_owned(),
             line.reason.unwrap_or_default().to_owned(),
         ];
-        let values = line.features.map_or(&[] as &[f64], |features| features.values);
-        row.extend((0..self.names.len()).map(|index| number(values.get(index).copied())));
+        row.extend(
+            self.names.iter().map(|name| number(line.features.and_then(|features| features.get(name)))),
+        );
         row
     }
 

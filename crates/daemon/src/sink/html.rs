@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use seepd_signals::{Sample, Signal};
 
 use crate::event::{CycleLine, Event, Flag, FlagEvent, Notice};
+use crate::pipeline::DutyCycle;
 
 /// Points of a cycle's curve.
 pub const CURVE_BINS: usize = 400;
@@ -30,7 +31,7 @@ pub struct Point {
     pub interval_m2: [f64; 2],
     /// Flow at the reference pressure difference, L/min.
     pub leak_flow_lpm: f64,
-    /// Features in the model's order.
+    /// Features in the order of their names; not a number where the cycle's model has no such feature.
     pub features: Vec<f64>,
 }
 
@@ -80,6 +81,10 @@ pub struct LogEntry {
 /// See the [module](self).
 pub struct HtmlSink {
     period_s: f64,
+    /// The duty cycle whose command is drawn, where there are several.
+    pub drawn: Option<String>,
+    /// Names of the features, in the points' order.
+    pub feature_names: Vec<String>,
     healthy_below_lpm: f64,
     ring: VecDeque<(i64, f32)>,
     ring_samples: usize,
@@ -102,12 +107,16 @@ pub struct HtmlSink {
 }
 
 impl HtmlSink {
-    /// A collector for a model's period and rate. Cycles with an estimate below the flow count as healthy: flags need a few
-    /// cycles to rise, so that they do not tell of the first ones.
-    pub fn new(period_s: f64, sample_rate_hz: f64, healthy_below_lpm: f64) -> Self {
-        let ring_samples = (PERIODS_HELD * period_s * sample_rate_hz) as usize;
+    /// A collector. Cycles with an estimate below the flow count as healthy: flags need a few cycles to rise, so that they do not
+    /// tell of the first ones. Of several duty cycles the first one's command is drawn.
+    pub fn new(duty_cycles: &[DutyCycle<'_>], healthy_below_lpm: f64) -> Self {
+        let periods_s = duty_cycles.iter().map(|duty_cycle| duty_cycle.model.file().cycle.period_s);
+        let rate_hz = duty_cycles.first().map_or(0.0, |first| first.model.file().sample_rate_hz);
+        let ring_samples = (PERIODS_HELD * periods_s.clone().fold(0.0, f64::max) * rate_hz) as usize;
         HtmlSink {
-            period_s,
+            period_s: periods_s.clone().next().unwrap_or(1.0),
+            drawn: duty_cycles.first().and_then(|first| first.name).map(str::to_owned),
+            feature_names: DutyCycle::feature_names(duty_cycles),
             healthy_below_lpm,
             ring: VecDeque::with_capacity(ring_samples),
             ring_samples,
@@ -179,6 +188,15 @@ impl HtmlSink {
         else {
             return;
         };
+        if line.duty_cycle == self.drawn.as_deref() {
+            self.draw(line, leak_flow_lpm);
+        }
+        let of_name = |name: &String| features.get(name).unwrap_or(f64::NAN);
+        let features = self.feature_names.iter().map(of_name).collect();
+        self.points.push(Point { cycle: line.cycle, leak_area_m2, interval_m2, leak_flow_lpm, features });
+    }
+
+    fn draw(&mut self, line: &CycleLine<'_>, leak_flow_lpm: f64) {
         let curve = self.curve(line);
         self.first.add(&curve);
         if leak_flow_lpm < self.healthy_below_lpm {
@@ -188,8 +206,6 @@ impl HtmlSink {
             self.recent.pop_front();
         }
         self.recent.push_back(curve);
-        let features = features.values.to_vec();
-        self.points.push(Point { cycle: line.cycle, leak_area_m2, interval_m2, leak_flow_lpm, features });
     }
 
     /// A cycle's command in bins over the period; not a number where there is no sample.

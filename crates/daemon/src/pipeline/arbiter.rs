@@ -1,0 +1,173 @@
+//! Whose a cycle is, where an axis has several duty cycles.
+//!
+//! Each monitor's reader finds cycles of its own shape; one duty cycle's strokes may look like another's, so that two find the same
+//! stretch of the command, or one finds half a cycle in another's. A finding waits until no other reader has a cycle under way that
+//! began before its end; of those that overlap one counts.
+
+use seepd_features::reader::MAX_FEATURES;
+use seepd_features::statistics::CycleStatistics;
+use seepd_features::{Outcome, RejectedCycle, ValidCycle};
+
+use super::monitor::Judge;
+
+/// Two findings are about the same stretch where they share this part of the shorter one.
+const SHARED: f64 = 0.25;
+/// Of two cycles one that is longer by this factor explains more of the command than chance would.
+const LONGER: f64 = 1.25;
+/// Findings that wait, for each monitor, in ordinary times; more only where the input is damaged.
+const WAITING_EACH: usize = 8;
+
+/// What a reader has found.
+pub(super) struct Heard {
+    pub(super) which: usize,
+    start_ns: i64,
+    end_ns: i64,
+    content: Content,
+}
+
+#[expect(
+    clippy::large_enum_variant,
+    reason = "the list of findings is allocated once, and its cycles must not be"
+)]
+enum Content {
+    Valid { claim: Claim, features: [f64; MAX_FEATURES], count: usize, statistics: CycleStatistics },
+    Rejected(RejectedCycle),
+}
+
+/// How well a monitor knows a cycle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Claim {
+    /// Distance over its limit; above 1 it does not know it.
+    strangeness: f64,
+    /// Whether it compares with a baseline, which tells more than training.
+    by_baseline: bool,
+}
+
+impl Heard {
+    /// As the reader told it.
+    pub(super) fn outcome(&self) -> Outcome<'_> {
+        match &self.content {
+            Content::Valid { features, count, statistics, .. } => Outcome::Valid(ValidCycle {
+                start_ns: self.start_ns,
+                end_ns: self.end_ns,
+                features: features.get(..*count).unwrap_or_default(),
+                statistics,
+            }),
+            Content::Rejected(rejected) => Outcome::Rejected(*rejected),
+        }
+    }
+
+    fn claim(&self) -> Option<Claim> {
+        match &self.content {
+            Content::Valid { claim, .. } => Some(*claim),
+            Content::Rejected(_) => None,
+        }
+    }
+
+    fn length_ns(&self) -> f64 {
+        self.end_ns.saturating_sub(self.start_ns).max(1) as f64
+    }
+
+    fn overlaps(&self, span_ns: (i64, i64)) -> bool {
+        let shared_ns = self.end_ns.min(span_ns.1).saturating_sub(self.start_ns.max(span_ns.0));
+        let other_ns = span_ns.1.saturating_sub(span_ns.0).max(1) as f64;
+        shared_ns as f64 >= SHARED * self.length_ns().min(other_ns)
+    }
+
+    /// Whether this rather than the other is what the command shows.
+    fn is_better_than(&self, other: &Heard) -> bool {
+        let (Some(own), Some(others)) = (self.claim(), other.claim()) else {
+            return self.claim().is_some();
+        };
+        let known = (own.strangeness <= 1.0, others.strangeness <= 1.0);
+        if known.0 != known.1 {
+            return known.0;
+        }
+        if known.0 && own.by_baseline != others.by_baseline {
+            return own.by_baseline;
+        }
+        let ratio = self.length_ns() / other.length_ns();
+        if known.0 && !(1.0 / LONGER..=LONGER).contains(&ratio) {
+            return ratio > 1.0;
+        }
+        own.strangeness < others.strangeness
+    }
+}
+
+/// What has been found and not been told yet.
+pub(super) struct Arbiter {
+    monitors: usize,
+    waiting: Vec<Heard>,
+    /// The last cycle that was told, and whether it was valid.
+    told: Option<((i64, i64), bool)>,
+}
+
+impl Arbiter {
+    pub(super) fn new(monitors: usize) -> Self {
+        let capacity = if monitors > 1 { WAITING_EACH * monitors } else { 0 };
+        Arbiter { monitors, waiting: Vec::with_capacity(capacity), told: None }
+    }
+
+    /// Takes a reader's finding.
+    pub(super) fn hear(&mut self, which: usize, judge: &Judge<'_>, outcome: &Outcome<'_>) {
+        let heard = match outcome {
+            Outcome::Valid(valid) => {
+                let claim =
+                    Claim { strangeness: judge.strangeness(valid), by_baseline: judge.is_following() };
+                let mut features = [0.0; MAX_FEATURES];
+                features.iter_mut().zip(valid.features).for_each(|(slot, value)| *slot = *value);
+                let count = valid.features.len().min(MAX_FEATURES);
+                let content = Content::Valid { claim, features, count, statistics: *valid.statistics };
+                Heard { which, start_ns: valid.start_ns, end_ns: valid.end_ns, content }
+            }
+            Outcome::Rejected(rejected) => Heard {
+                which,
+                start_ns: rejected.start_ns,
+                end_ns: rejected.end_ns,
+                content: Content::Rejected(*rejected),
+            },
+        };
+        let is_known = self.told.is_some_and(|(span_ns, was_valid)| {
+            heard.overlaps(span_ns) && (was_valid || heard.claim().is_none())
+        });
+        if !is_known {
+            self.waiting.push(heard);
+        }
+    }
+
+    pub(super) fn is_waiting(&self) -> bool {
+        !self.waiting.is_empty()
+    }
+
+    /// The next finding of which it is certain that no other counts in its place; the others about the same stretch are forgotten.
+    /// `begun_ns` tells when the cycle began that a monitor's reader has under way.
+    pub(super) fn settled(
+        &mut self,
+        begun_ns: impl Fn(usize) -> Option<i64>,
+        now_ns: i64,
+        patience_ns: i64,
+    ) -> Option<Heard> {
+        let is_settled = |heard: &Heard| {
+            let late_ns = heard.end_ns.saturating_sub((SHARED * heard.length_ns()) as i64);
+            let is_disputed = (0..self.monitors)
+                .filter(|which| *which != heard.which)
+                .any(|which| begun_ns(which).is_some_and(|begun_ns| begun_ns < late_ns));
+            !is_disputed || now_ns > heard.end_ns.saturating_add(patience_ns)
+        };
+        let first = self.waiting.iter().position(is_settled)?;
+        let best =
+            (0..self.waiting.len())
+                .filter(|index| {
+                    let span_ns = (self.waiting[first].start_ns, self.waiting[first].end_ns);
+                    *index == first || self.waiting[*index].overlaps(span_ns)
+                })
+                .fold(first, |best, index| {
+                    if self.waiting[index].is_better_than(&self.waiting[best]) { index } else { best }
+                });
+        let told = self.waiting.remove(best);
+        let span_ns = (told.start_ns, told.end_ns);
+        self.waiting.retain(|heard| !heard.overlaps(span_ns));
+        self.told = Some((span_ns, told.claim().is_some()));
+        Some(told)
+    }
+}
