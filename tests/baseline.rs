@@ -115,6 +115,52 @@ fn a_baseline_of_a_leaking_machine_is_remarked_on_and_its_new_seal_shows_as_impr
     assert_eq!(summary(&place.follow("worn", &mended))["flag"], "healthy");
 }
 
+/// Without a baseline: what training does not know has no estimate, and the phase that differs most is named once.
+#[test]
+fn a_machine_unlike_training_has_no_estimate() {
+    let place = &*PLACE;
+    let log = place.log("strange", &["--cycles", "8", "--with", "valve_deadband.half_width=0.01"]);
+    let lines = support::replay(&log, &[]);
+    assert!(estimates(&lines).is_empty(), "{lines:?}");
+    assert!(reasons(&lines).iter().all(|reason| reason == "unlike_training"), "{:?}", reasons(&lines));
+    let cycles = &lines[..lines.len() - 1];
+    assert!(cycles.iter().all(|line| line["absolute_novelty"].as_f64().unwrap() > 1.0));
+    assert!(cycles.iter().all(|line| line["absolute_leak_area_m2"].is_number()), "it is still shown");
+    assert_eq!(summary(&lines)["flag"], "no_estimate");
+    let text = stdout(&seepd(["replay", log.to_str().unwrap()]));
+    assert_eq!(text.matches("like no machine that the model was trained on").count(), 1, "{text}");
+}
+
+/// A leak larger than any that sizes were learned from is no other fault: it is severe, with a baseline and without.
+#[test]
+fn a_leak_beyond_training_is_severe() {
+    let place = &*PLACE;
+    let log = place.log("burst", &["--cycles", "8", "--leak-area", "2e-5"]);
+    for lines in [support::replay(&log, &[]), place.follow("nominal", &log)] {
+        assert_eq!(summary(&lines)["flag"], "severe", "{}", summary(&lines));
+        assert!(reasons(&lines).iter().all(|reason| reason == "incomplete"), "{:?}", reasons(&lines));
+    }
+}
+
+/// What the features contribute to an estimate explains all of its difference from another.
+#[test]
+fn contributions_of_the_features_add_up_to_the_estimate() {
+    let place = &*PLACE;
+    let log = place.log("explained", &["--cycles", "12", "--leak-area", "2e-8", "--leak-growth", "4e-6"]);
+    let lines = support::replay(&log, &[]);
+    let explained: Vec<(f64, f64)> = lines[..lines.len() - 1]
+        .iter()
+        .filter_map(|line| {
+            let parts = line["absolute_why"].as_object()?.values();
+            Some(((line["leak_area_m2"].as_f64()? + 2e-8).ln(), parts.filter_map(Value::as_f64).sum()))
+        })
+        .collect();
+    assert!(explained.len() >= 11 && explained[10].0 - explained[0].0 > 3.0, "{explained:?}");
+    // The base is the same for all; contributions are kept in single precision.
+    let base = explained[0].0 - explained[0].1;
+    assert!(explained.iter().all(|(ln, parts)| (ln - parts - base).abs() < 1e-4), "{explained:?}");
+}
+
 #[test]
 fn a_replaced_valve_and_another_duty_cycle_get_no_estimate_and_ask_for_a_new_baseline() {
     let place = &*PLACE;

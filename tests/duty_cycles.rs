@@ -3,6 +3,10 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
+#[cfg(feature = "live")]
+#[expect(dead_code, reason = "other tests use the rest")]
+#[path = "support/daemon.rs"]
+mod daemon;
 #[expect(dead_code, reason = "other tests use the rest")]
 #[path = "support/mod.rs"]
 mod support;
@@ -288,4 +292,52 @@ fn wrong_duty_cycles_are_one_line_each() {
         assert_eq!(output.status.code(), Some(64), "{}", stderr(&output));
         assert!(stderr(&output).contains(wanted), "{}", stderr(&output));
     }
+}
+
+/// The daemon learns a baseline of each duty cycle, keeps it in a file of its own, and compares with it after a restart.
+#[test]
+#[cfg(feature = "live")]
+fn the_daemon_keeps_a_baseline_for_each() {
+    use daemon::{Daemon, axis_status, free_port, until};
+
+    let place = &*PLACE;
+    let both = ["normal", "light"];
+    let turns = (0u32..4).map(|turn| part(both[turn as usize % 2], 12, 0.0, 20 + turn));
+    let healthy = place.log("live-healthy", &turns.collect::<Vec<_>>());
+    let leaking = place.log("live-leak", &[part("normal", 8, 1e-7, 30), part("light", 8, 1e-7, 31)]);
+    let duty_cycles: String = both
+        .map(|name| {
+            format!(
+                "[[duty_cycles]]\nname = \"{name}\"\nmodel = \"{}\"\n",
+                place.path(&format!("{name}.json")).display()
+            )
+        })
+        .concat();
+    let folder = tempfile::tempdir().unwrap();
+    let configuration = |source: &str| {
+        format!(
+            "axis = \"press-1\"\nstate_dir = \"state\"\n{duty_cycles}[baseline]\nlearn_cycles = 20\n{source}"
+        )
+    };
+    let of_log =
+        |log: &Path| configuration(&format!("[source]\nlog = \"{}\"\npace = \"fast\"\n", log.display()));
+    assert!(Daemon::start(folder.path(), &of_log(&healthy)).wait().success());
+    for name in both {
+        let record = folder.path().join(format!("state/baseline-press-1-{name}.json"));
+        let record: Value = serde_json::from_str(&fs::read_to_string(record).unwrap()).unwrap();
+        assert_eq!(record["baselines"].as_array().unwrap().len(), 1, "{name}");
+    }
+    assert!(Daemon::start(folder.path(), &of_log(&leaking)).wait().success());
+    // Both sums are there again; the page names both.
+    let port = free_port();
+    let socket = folder.path().join("in.sock");
+    let page = format!("{}[http]\nlisten = \"127.0.0.1:{port}\"\n", daemon::machine_toml(&socket));
+    let _daemon = Daemon::start(folder.path(), &configuration(&page));
+    until("an answer", std::time::Duration::from_secs(10), || axis_status(port).is_some());
+    let status = axis_status(port).unwrap();
+    assert_eq!((&status["finding"], &status["level"]), (&"leak".into(), &"watch".into()), "{status}");
+    let listed = status["duty_cycles"].as_array().unwrap();
+    let names: Vec<&str> = listed.iter().filter_map(|one| one["name"].as_str()).collect();
+    assert_eq!(names, both);
+    assert!(listed.iter().all(|one| one["baseline"]["learned_cycles"] == 20), "{status}");
 }

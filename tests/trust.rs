@@ -67,7 +67,7 @@ struct Course {
 
 /// Runs machines in lanes over their days; each is followed from its baseline, or learns one.
 fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool) -> Vec<Course> {
-    let (duty_cycles, alarm) = ([DutyCycle::only(&model)], AlarmConfig::default());
+    let (duty_cycles, alarm) = ([DutyCycle::only(model)], AlarmConfig::default());
     let config = PipelineConfig {
         axis: "axis",
         duty_cycles: &duty_cycles,

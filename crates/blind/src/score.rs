@@ -102,6 +102,8 @@ pub struct Scores {
 
 /// A signature counts as visible from so many floors on.
 const FLOORS: f64 = 1.5;
+/// A claimed gap further from the emitted plant's than this share of a signal's range is listed.
+const LARGEST_CLAIM_ERROR: f64 = 1e-3;
 /// L/min in a m³/s.
 const LPM: f64 = 6e4;
 /// Bins of the calibration error.
@@ -161,7 +163,12 @@ pub fn score(answers: &[Answered]) -> Scores {
             seconds.last().copied().unwrap_or(0.0),
         ],
         by_effect,
-        wrong: answers.iter().filter(|a| !a.right()).map(Answered::told).collect(),
+        wrong: answers
+            .iter()
+            .filter(|a| !a.right())
+            .map(Answered::told)
+            .chain(answers.iter().filter_map(Answered::misclaimed))
+            .collect(),
     }
 }
 
@@ -302,6 +309,15 @@ impl Answered {
                 measured.get(signal).map(|measured| (measured - claimed).abs())
             });
         Some(differences.fold(0.0, f64::max))
+    }
+
+    /// What is wrong with the claim, where the emitted plant does not bear it out.
+    fn misclaimed(&self) -> Option<String> {
+        let difference = self.claim_error().filter(|difference| *difference > LARGEST_CLAIM_ERROR)?;
+        Some(format!(
+            "{}: the claimed gap is {difference:.1e} of a range from the emitted plant's",
+            self.case
+        ))
     }
 
     fn told(&self) -> String {

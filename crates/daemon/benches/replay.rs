@@ -31,7 +31,7 @@ fn log(command_only: bool) -> Vec<u8> {
 fn replay(bencher: divan::Bencher<'_, '_>, command_only: bool) {
     let bytes = log(command_only);
     let config = Config::default();
-    let model = config.load_model().expect("the embedded model");
+    let model = seepd::config::embedded_model().expect("the embedded model");
     let (duty_cycles, alarm) = ([DutyCycle::only(&model)], AlarmConfig::default());
     let config = PipelineConfig {
         axis: "axis",

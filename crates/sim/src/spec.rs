@@ -131,8 +131,8 @@ impl MachineSpec {
         (eigenvalue_per_s * self.controller.period_s / RK4_STABILITY_LIMIT).ceil() as usize
     }
 
-    /// Steps in a controller period with which plant and effects are stable: the file's, or more where effects make the plant stiffer.
-    pub fn stable_steps(&self) -> usize {
+    /// Magnitude of the fastest eigenvalue, 1/s, of the plant as its effects make it: some stiffen it, some soften it.
+    fn fastest_eigenvalue_per_s(&self) -> f64 {
         let mut plant = Plant::<f64>::new(&[&self.plant]);
         let mut pid = Pid::new(&[&self.controller]);
         let mut dt = self.controller.period_s;
@@ -141,7 +141,12 @@ impl MachineSpec {
                 law.adjust(&mut Constants { plant: &mut plant, pid: &mut pid, dt: &mut dt });
             }
         }
-        let needed = self.steps_for(plant.fastest_eigenvalue_per_s());
+        plant.fastest_eigenvalue_per_s()
+    }
+
+    /// Steps in a controller period with which plant and effects are stable: the file's, or more where these make the plant stiffer.
+    pub fn stable_steps(&self) -> usize {
+        let needed = self.steps_for(self.fastest_eigenvalue_per_s());
         // What went out of bounds stays there whatever the step.
         self.controller.steps_per_period.max(needed.min(MOST_STEPS))
     }
@@ -284,7 +289,7 @@ impl MachineSpec {
     }
 
     fn check_stability(&self) -> Result<(), SpecError> {
-        let eigenvalue_per_s = self.plant.fastest_eigenvalue_per_s();
+        let eigenvalue_per_s = self.fastest_eigenvalue_per_s();
         let steps = self.controller.steps_per_period;
         let product = eigenvalue_per_s * self.controller.period_s / steps as f64;
         if product <= RK4_STABILITY_LIMIT {

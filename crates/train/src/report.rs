@@ -2,7 +2,6 @@
 
 use rayon::prelude::*;
 use seepd_features::Kalman;
-use seepd_features::statistics::CycleStatistics;
 use seepd_model::Model;
 use seepd_model::accuracy::{
     Decade, Judged, coverage, decades, in_main_range, mean_absolute_error, r_squared,
@@ -37,6 +36,8 @@ pub struct Accuracy {
     pub largest_healthy_m2: f64,
     /// Share of machines in the main range whose truth lies within the 90 % interval.
     pub coverage: f64,
+    /// Share of all machines that are taken for unlike training.
+    pub novel: f64,
 }
 
 /// The noise table's line: learned at the article's noise, tested at another.
@@ -75,17 +76,18 @@ pub(crate) struct Subject<'a> {
     pub(crate) settings: &'a Settings,
 }
 
-/// Features of a machine at each noise level, with the filter and without; `None` where the cycle was not found.
-type Readings = [[Option<Vec<f64>>; NOISE_LEVELS.len()]; 2];
+/// A machine's cycle as the model reads it: features, and mean commands by phase.
+pub(crate) type Read = (Vec<f64>, Vec<f64>);
+
+/// A machine at each noise level, with the filter and without; `None` where the cycle was not found.
+type Readings = [[Option<Read>; NOISE_LEVELS.len()]; 2];
 
 pub(crate) fn measure(subject: &Subject<'_>) -> Report {
     let readings: Vec<Readings> = dataset::simulate(subject.observations, |index, commands| {
         let observation = &subject.observations[index];
         [subject.settings.filter, None].map(|filter| {
             let Subject { reading, features, settings, .. } = subject;
-            read_at_each_noise(reading, settings, observation, commands, filter, &NOISE_LEVELS, |cycle| {
-                features.of(cycle)
-            })
+            read_at_each_noise(reading, features, settings, (observation, commands), filter, &NOISE_LEVELS)
         })
     });
     let by_noise: Vec<Accuracy> =
@@ -93,33 +95,34 @@ pub(crate) fn measure(subject: &Subject<'_>) -> Report {
     Report { accuracy: by_noise[0].clone(), by_noise, noise_table: noise_table(subject, &readings) }
 }
 
-/// What `read` takes from a machine's cycle at each noise level; `None` where the cycle was not found.
-pub(crate) fn read_at_each_noise<R, const LEVELS: usize>(
+/// A machine's cycle at each noise level; `None` where it was not found.
+pub(crate) fn read_at_each_noise<const LEVELS: usize>(
     reading: &Reading<'_>,
+    features: &Features<'_>,
     settings: &Settings,
-    observation: &Observation,
-    commands: &[f64],
+    (observation, commands): (&Observation, &[f64]),
     filter: Option<Kalman>,
     levels: &[f64; LEVELS],
-    read: impl Fn(&CycleStatistics) -> R,
-) -> [Option<R>; LEVELS] {
+) -> [Option<Read>; LEVELS] {
     levels.map(|sigma| {
         // The same noise at every level, scaled.
         let mut noise: Noise = noise_of(observation, settings);
-        reading.read(commands, filter, sigma, &mut noise).map(|statistics| read(&statistics))
+        reading.read(commands, filter, sigma, &mut noise).map(|statistics| features.read(&statistics))
     })
 }
 
 fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accuracy {
-    let cases: Vec<Judged> = subject
+    let (cases, novelties): (Vec<Judged>, Vec<f64>) = subject
         .observations
         .iter()
         .zip(readings)
         .filter_map(|(observation, reading)| {
-            let estimate = subject.model.estimate_at(reading[0][level].as_ref()?, NOISE_LEVELS[level]);
-            Some(Judged::new(observation.leak_area_m2, &estimate))
+            let (features, phase_means) = reading[0][level].as_ref()?;
+            let estimate = subject.model.estimate_at(features, NOISE_LEVELS[level]);
+            let novelty = subject.model.novelty(&estimate, phase_means).ratio;
+            Some((Judged::new(observation.leak_area_m2, &estimate), novelty))
         })
-        .collect();
+        .unzip();
     let main: Vec<Judged> = cases.iter().filter(|case| in_main_range(case.truth_m2)).copied().collect();
     let transform = subject.model.file().transform;
     let pairs = |map: &dyn Fn(f64) -> f64| -> Vec<(f64, f64)> {
@@ -139,6 +142,7 @@ fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accur
             .map(|case| case.estimate_m2)
             .fold(0.0, f64::max),
         coverage: coverage(main.iter()),
+        novel: novelties.iter().filter(|ratio| **ratio > 1.0).count() as f64 / novelties.len().max(1) as f64,
     }
 }
 
@@ -185,7 +189,7 @@ fn forest_error(
         .zip(readings)
         .filter(|(observation, _)| in_main_range(observation.leak_area_m2))
         .filter_map(|(observation, reading)| {
-            let features = reading[which][level].as_ref()?;
+            let (features, _) = reading[which][level].as_ref()?;
             let sum: f64 = forest.trees.iter().map(|tree| predict(tree, |feature| features[feature])).sum();
             Some((observation.leak_area_m2, transform.back(sum / forest.trees.len() as f64).max(0.0)))
         })
@@ -206,7 +210,7 @@ fn largest_feature_change(
         let pairs: Vec<(f64, f64)> = readings
             .iter()
             .filter_map(|reading| {
-                Some((reading[which][0].as_ref()?[index], reading[which][level].as_ref()?[index]))
+                Some((reading[which][0].as_ref()?.0[index], reading[which][level].as_ref()?.0[index]))
             })
             .collect();
         let change = relative_change(&pairs);

@@ -486,6 +486,11 @@ impl<'a> Features<'a> {
         self.kinds.iter().map(|kind| kind.of(&definition, statistics)).collect()
     }
 
+    /// Features, and mean commands by phase.
+    pub(crate) fn read(&self, statistics: &CycleStatistics) -> report::Read {
+        (self.of(statistics), statistics.phase_means()[..self.reading.phases.len()].to_vec())
+    }
+
     pub(crate) fn table<'s>(
         &self,
         cases: impl Iterator<Item = &'s CycleStatistics>,
@@ -511,13 +516,10 @@ fn calibrate(
     let levels = &relative::CALIBRATED_NOISE;
     let observations =
         dataset::draw(spec, settings.spread, settings.calibrated_on, settings.seed, purpose::CALIBRATE);
-    let phase_means = |cycle: &CycleStatistics| cycle.phase_means()[..reading.phases.len()].to_vec();
     let read = |observations: &[Observation]| {
         dataset::simulate(observations, |index, commands| {
-            let (observation, filter) = (&observations[index], settings.filter);
-            report::read_at_each_noise(reading, settings, observation, commands, filter, levels, |cycle| {
-                (features.of(cycle), phase_means(cycle))
-            })
+            let case = (&observations[index], commands);
+            report::read_at_each_noise(reading, features, settings, case, settings.filter, levels)
         })
     };
     let readings = read(&observations);
@@ -545,15 +547,23 @@ fn calibrate(
         .collect();
     let healthy = (0..levels.len()).flat_map(|level| predict(level, &|area| area == 0.0));
     let calibration = conformal::calibration(&by_noise, healthy.map(|one| transform.back(one.mean).max(0.0)));
-    let row = |(values, means): &(Vec<f64>, Vec<f64>)| (ensemble.vote(values).0, means.clone());
-    let (even, odd): (Vec<_>, Vec<_>) =
-        beyond.iter().enumerate().partition(|(index, _)| index.is_multiple_of(2));
-    let beyond = |part: Vec<(usize, &[Option<_>; 3])>| {
-        part.into_iter().flat_map(|(_, reading)| reading.iter().flatten().map(row)).collect::<Vec<_>>()
-    };
-    let seen = learned.iter().map(|case| row(&(features.of(&case.mixed), phase_means(&case.mixed))));
-    let others = readings.iter().flatten().flatten().map(row).chain(beyond(odd));
-    (calibration, novelty::describe(seen.chain(beyond(even)).collect(), others).unwrap_or_default())
+    (calibration, describe_cycles(&ensemble, features, learned, &readings, &beyond))
+}
+
+/// What cycles look like: learned from the model's own machines and half of those with leaks beyond, limits from the others.
+fn describe_cycles<const LEVELS: usize>(
+    ensemble: &Ensemble,
+    features: &Features<'_>,
+    learned: &[Case],
+    others: &[[Option<report::Read>; LEVELS]],
+    beyond: &[[Option<report::Read>; LEVELS]],
+) -> Vec<NoveltyFile> {
+    let row = |(values, means): &report::Read| (ensemble.vote(values).0, means.clone());
+    // Leaks ascend, so that each half has all sizes.
+    let half = |from: usize| beyond.iter().skip(from).step_by(2).flatten().flatten().map(row);
+    let learned = learned.iter().map(|case| row(&features.read(&case.mixed))).chain(half(0)).collect();
+    let others = others.iter().flatten().flatten().map(row).chain(half(1));
+    novelty::describe(learned, others).unwrap_or_default()
 }
 
 /// Pairs spread over the range of the target.

@@ -267,8 +267,8 @@ fn print_accuracy(out: &mut impl Write, report: &Report) -> io::Result<()> {
     )?;
     writeln!(
         out,
-        "{:>7} {:>9} {:>9}  {:^26}  {:>10}  {:>10}",
-        "noise", "R² area", "R² ln", "median relative error", "coverage", "largest at"
+        "{:>7} {:>9} {:>9}  {:^26}  {:>10}  {:>10}  {:>7}",
+        "noise", "R² area", "R² ln", "median relative error", "coverage", "largest at", "new"
     )?;
     writeln!(
         out,
@@ -286,7 +286,7 @@ fn print_accuracy_line(out: &mut impl Write, accuracy: &Accuracy) -> io::Result<
         accuracy.decades.iter().map(|decade| 100.0 * decade.median_relative_error).collect();
     writeln!(
         out,
-        "{:>7} {:>9.5} {:>9.5}  {:>6.2} % {:>6.2} % {:>6.2} %  {:>8.1} %  {:>10.2e}",
+        "{:>7} {:>9.5} {:>9.5}  {:>6.2} % {:>6.2} % {:>6.2} %  {:>8.1} %  {:>10.2e}  {:>5.1} %",
         accuracy.noise,
         accuracy.r2_area,
         accuracy.r2_transformed,
@@ -294,7 +294,8 @@ fn print_accuracy_line(out: &mut impl Write, accuracy: &Accuracy) -> io::Result<
         errors[1],
         errors[2],
         100.0 * accuracy.coverage,
-        accuracy.largest_healthy_m2
+        accuracy.largest_healthy_m2,
+        100.0 * accuracy.novel
     )
 }
 

@@ -35,7 +35,6 @@ impl<W: Write> CsvSink<W> {
         let fixed = [
             "axis",
             "cycle",
-            "duty_cycle",
             "t_start_s",
             "t_end_s",
             "t_start_ns",
@@ -46,6 +45,7 @@ impl<W: Write> CsvSink<W> {
             "reference_dp_pa",
             "flag",
             "reason",
+            "duty_cycle",
         ];
         let header = fixed.into_iter().chain(self.names.iter().map(String::as_str));
         self.writer.write_record(header).map_err(io::Error::other)
@@ -56,7 +56,6 @@ impl<W: Write> CsvSink<W> {
         let mut row = vec![
             line.axis.to_owned(),
             line.cycle.to_string(),
-            line.duty_cycle.unwrap_or_default().to_owned(),
             line.t_start_s.to_string(),
             line.t_end_s.to_string(),
             line.t_start_ns.to_string(),
@@ -67,6 +66,7 @@ impl<W: Write> CsvSink<W> {
             line.reference_dp_pa.to_string(),
             line.flag.name().to_owned(),
             line.reason.unwrap_or_default().to_owned(),
+            line.duty_cycle.unwrap_or_default().to_owned(),
         ];
         row.extend(
             self.names.iter().map(|name| number(line.features.and_then(|features| features.get(name)))),

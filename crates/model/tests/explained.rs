@@ -1,0 +1,57 @@
+//! Contributions and novelty in closed form.
+
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
+use seepd_model::novelty::distance;
+use seepd_model::schema::{Calibration, NoveltyFile, Transform, Tree};
+use seepd_model::{Attribution, Ensemble, Novelty};
+
+fn ensemble(trees: &[Tree]) -> Ensemble {
+    let calibration = Calibration {
+        level: 0.9,
+        spread_floor: 0.0,
+        factors: vec![(0.0, 1.0)],
+        by_noise: Vec::new(),
+        healthy_limit: 0.0,
+    };
+    Ensemble::from_checked(trees, Transform::Identity, calibration)
+}
+
+/// x0 ≤ 0.5: 1, else x1 ≤ 0.5: 2, else 6. The expectations are 3 at the root and 4 on the right.
+fn tree() -> Tree {
+    Tree { feature: vec![0, -1, 1, -1, -1], value: vec![0.5, 1.0, 0.5, 2.0, 6.0], right: vec![2, 0, 4, 0, 0] }
+}
+
+#[test]
+fn contributions_are_the_steps_of_the_expectation() {
+    let stump = Tree { feature: vec![-1], value: vec![5.0], right: vec![0] };
+    let ensemble = ensemble(&[tree(), stump]);
+    let attribution = Attribution::new(&ensemble);
+    let mut contributions = [f64::NAN; 3];
+    for (features, expected) in [
+        ([1.0, 1.0, 9.0], [0.5, 1.0, 0.0]),
+        ([1.0, 0.0, 9.0], [0.5, -1.0, 0.0]),
+        ([0.0, 1.0, 9.0], [-1.0, 0.0, 0.0]),
+    ] {
+        let base = attribution.contributions(&ensemble, &features, &mut contributions);
+        assert_eq!((base, contributions), (4.0, expected));
+        assert_eq!(base + contributions.iter().sum::<f64>(), ensemble.vote(&features).0);
+    }
+}
+
+#[test]
+fn novelty_is_the_whitened_distance_over_the_limit_of_the_estimates_range() {
+    // Covariance [[4, 2], [2, 2]] = L Lᵀ with L = [[2, 0], [1, 1]]; its inverse is [[½, 0], [−½, 1]].
+    let range =
+        |from_y, limit| NoveltyFile { from_y, mean: vec![1.0, 1.0], whitening: vec![0.5, -0.5, 1.0], limit };
+    let ranges = [range(-10.0, 2.0), range(0.0, 4.0)];
+    // The difference (2, 3) whitens to (1, 2): √(5/2).
+    let expected = 2.5f64.sqrt();
+    assert!((distance(&ranges[0], &[3.0, 4.0]) - expected).abs() < 1e-15);
+    for (y, limit) in [(-20.0, 2.0), (-0.1, 2.0), (0.0, 4.0), (7.0, 4.0)] {
+        let novelty = Novelty::of(&ranges, y, &[3.0, 4.0]);
+        assert!((novelty.ratio - expected / limit).abs() < 1e-15 && novelty.newest == 1, "{novelty:?}");
+    }
+    assert_eq!(Novelty::of(&[], 0.0, &[3.0, 4.0]).ratio, 0.0);
+    assert_eq!(Novelty::of(&ranges, 0.0, &[]).ratio, 0.0);
+}
