@@ -104,6 +104,25 @@ fn command_and_position_alone_do_for_a_dead_band() {
     assert!((half_width - 0.03).abs() < 1e-3, "{half_width}");
 }
 
+/// The leak alone is found from a plant file without one, whatever the supply does beside it: on this machine, which a diagnosis once
+/// retuned, the derivative by a leak of 0 leads nowhere.
+#[test]
+fn the_leak_is_found_from_a_plant_without_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plant, log) = (folder.path().join("plant.toml"), folder.path().join("leak.mcap"));
+    let text = "[plant]\nbulk_modulus_pa = 1218262634.0\npump_flow_m3_per_s = 0.001520815\nrelief_pressure_pa = 16016880.3\n\
+                relief_resistance_pa_s_per_m3 = 566499765.0\nreturn_pressure_pa = 207268.9\nline_m3_per_s_sqrt_pa = 2.91086e-6\n\
+                valve_m3_per_s_sqrt_pa = 8.6141e-7\nmass_kg = 267.72\nviscous_friction_n_s_per_m = 4430.35\n\
+                seal_resistance_pa_s_per_m3 = 7.685e12\nload_scale = 1.0618\n";
+    fs::write(&plant, text).unwrap();
+    let plant = text_of(&plant);
+    simulate(&log, &["--plant", plant, "--leak-area", "1.84e-7", "--cycles", "12", "--seed", "4"]);
+    let diagnosis = diagnose(&log, &["--plant", plant]);
+    let leak_m2 = diagnosis["leak"]["nominal_m2"].as_f64().unwrap();
+    assert!((leak_m2 / 1.84e-7 - 1.0).abs() < 0.03, "{leak_m2}");
+    assert_eq!(diagnosis["verdict"], "no_gap", "{diagnosis}");
+}
+
 #[test]
 fn other_parameters_are_no_effect() {
     let folder = tempfile::tempdir().unwrap();

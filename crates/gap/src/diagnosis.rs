@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use seepd_sim::effects::About;
 
 use crate::axis::Axis;
-use crate::fit::{Fit, Problem, Target, retunable, wear_only};
+use crate::fit::{Fit, Problem, Target, retunable};
 use crate::places::{phase_spans, places};
 use crate::rank::{Ranking, rank};
 use crate::record::{BINS, ENOUGH_CYCLES, Record};
@@ -56,7 +56,7 @@ pub fn diagnose<A: Axis>(
 ) -> (Diagnosis, A) {
     let (fitted, held_out) = split(record);
     let problem = Problem::new(record, &fitted);
-    let nominal = Fit::at(&problem, spec, wear_only(spec)).fitted(&problem, settings.iterations);
+    let nominal = Fit::of_wear(&problem, spec, settings.iterations);
     tell(1);
     let untouched = Fit::at(&problem, &nominal.spec, retunable(spec));
     let (retuned, far) = rayon::join(
@@ -87,7 +87,7 @@ pub fn diagnose<A: Axis>(
 pub fn nominal_gap<A: Axis>(record: &Record, spec: &A) -> BTreeMap<&'static str, f64> {
     let (fitted, held_out) = split(record);
     let problem = Problem::new(record, &fitted);
-    let nominal = Fit::at(&problem, spec, wear_only(spec)).fitted(&problem, Settings::default().iterations);
+    let nominal = Fit::of_wear(&problem, spec, Settings::default().iterations);
     let gaps = HeldOut { record, cycles: &held_out }.gaps(&[nominal.spec]).swap_remove(0);
     record.signals.iter().map(|signal| signal.name()).zip(gaps).collect()
 }

@@ -38,11 +38,6 @@ pub struct Free {
     prior: Option<(f64, f64)>,
 }
 
-/// What wear changes, alone.
-pub fn wear_only<A: Axis>(spec: &A) -> Vec<Free> {
-    spec.wear().into_iter().map(|tunable| Free::of_plant(spec, tunable)).collect()
-}
-
 /// What wear changes, and every plant parameter that may be retuned.
 pub fn retunable<A: Axis>(spec: &A) -> Vec<Free> {
     let tunables = spec.wear().into_iter().chain(spec.tunables());
@@ -271,6 +266,10 @@ pub struct Fit<A> {
 const LEAST_GAIN: (f64, f64) = (0.02, 1e-3);
 /// Dampings that are tried side by side, times the present one: one batch of lanes.
 const DAMPINGS: [f64; LANES] = [0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0];
+/// Values of wear from which the best is the start: two batches of lanes, each value about twice the one before.
+const WEAR_VALUES: usize = 2 * LANES;
+/// The smallest of them over the largest.
+const SMALLEST_WEAR: f64 = 1e-4;
 /// Steps after which derivatives are simulated anew.
 const OLD_AGE: usize = 3;
 
@@ -278,6 +277,24 @@ impl<A: Axis> Fit<A> {
     /// A machine as it is, with the derivatives there.
     pub fn at(problem: &Problem<'_>, spec: &A, free: Vec<Free>) -> Self {
         Fit::beside(problem, spec, free, DMatrix::zeros(0, 0), 0)
+    }
+
+    /// A machine as it is but for what wear changes. It is looked for over all of its range first: beside a relief valve's chatter the
+    /// derivative by a leak of 0 leads nowhere.
+    pub fn of_wear(problem: &Problem<'_>, spec: &A, iterations: usize) -> Self {
+        let Some(wear) = spec.wear() else { return Fit::at(problem, spec, Vec::new()) };
+        let free = Free::of_plant(spec, wear);
+        let mut machines = vec![spec.clone()];
+        machines.extend((1..WEAR_VALUES).map(|index| {
+            let share = index as f64 / (WEAR_VALUES - 1) as f64;
+            let at = free.low + (free.high - free.low) * SMALLEST_WEAR.powf(1.0 - share);
+            placed(spec, &[free], &DVector::from_element(1, at))
+        }));
+        let residuals = problem.residuals(&machines);
+        let costs = residuals.iter().map(|residual| residual.norm_squared());
+        let best = machines.into_iter().zip(costs).min_by(|a, b| a.1.total_cmp(&b.1));
+        let start = best.map_or_else(|| spec.clone(), |(machine, _)| machine);
+        Fit::at(problem, &start, vec![free]).fitted(problem, iterations)
     }
 
     /// This machine with further parameters, changed to `spec`: the derivatives by what was free before are taken over.
