@@ -148,3 +148,37 @@ fn the_study_finds_the_plant_s_figures_and_says_what_agrees() {
     assert_eq!(curves.len(), 5 + 2);
     assert!(curves[2]["name"] == "skewness" && curves[2]["net_share"].as_f64().unwrap() < 0.5);
 }
+
+/// A report against a baseline shows the record of baselines, both estimates, and what the last one comes from.
+#[test]
+fn a_report_against_a_baseline_shows_its_record_and_what_the_estimate_comes_from() {
+    let folder = tempfile::tempdir().unwrap();
+    let (first, second) = (
+        log(&folder, "first.mcap", &["--cycles", "24", "--leak-area", "2e-7"]),
+        log(&folder, "second.mcap", &["--cycles", "24", "--seed", "2"]),
+    );
+    let worn = log(&folder, "worn.mcap", &["--cycles", "8", "--leak-area", "1e-7", "--seed", "3"]);
+    let (baseline, page) = (folder.path().join("baseline.json"), folder.path().join("report.html"));
+    for (log, more) in [(&first, &["--occasion", "commissioning <1>"][..]), (&second, &["--seal-replaced"])] {
+        stdout(&seepd([&["learn-baseline", "--out", text_of(&baseline), text_of(log)][..], more].concat()));
+    }
+    replay(&worn, &["--baseline", text_of(&baseline), "--html", text_of(&page)]);
+    let text = fs::read_to_string(&page).unwrap();
+    assert_self_contained(&text);
+    for told in [
+        "commissioning &lt;1&gt;",
+        "seal replaced <b>(in force)</b>",
+        "sees a leak of 2.0",
+        "estimate, relative to the baseline",
+        "the model alone",
+        "contributes, m²",
+        "retract",
+    ] {
+        assert!(text.contains(told), "{told}");
+    }
+    // Without one, the features' contributions to the model's estimate.
+    replay(&worn, &["--html", text_of(&page)]);
+    let text = fs::read_to_string(&page).unwrap();
+    assert_self_contained(&text);
+    assert!(text.contains("raises the estimate by the factor") && !text.contains("The baselines"), "{text}");
+}

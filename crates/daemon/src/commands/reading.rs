@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use crate::baseline::{BaselineFile, LEAST_CYCLES, MOST_CYCLES, relative_of};
+use crate::baseline::{Baseline, BaselineFile, LEAST_CYCLES, MOST_CYCLES, relative_of};
 use crate::config::{Config, NamedModel, Selection};
 use crate::failure::{Code, Failure};
 use crate::pipeline::Pipeline;
@@ -62,18 +62,18 @@ pub struct BaselineArguments {
 }
 
 impl BaselineArguments {
-    /// Takes the baselines that command line or configuration name.
+    /// Takes the baselines that command line or configuration name, and gives the files' records, one a duty cycle.
     ///
     /// # Errors
     /// [`Failure`] of the file, or of the count of cycles.
-    pub fn apply(&self, pipeline: &mut Pipeline<'_>, config: &Config) -> Result<(), Failure> {
+    pub fn apply(&self, pipeline: &mut Pipeline<'_>, config: &Config) -> Result<Vec<Vec<Baseline>>, Failure> {
         if let Some(cycles) = self.learn_cycles {
             check_cycles("--learn-cycles", cycles)?;
             for monitor in pipeline.monitors() {
                 relative_of(monitor.model()).map_err(|what| Failure::new(Code::Configuration, what))?;
             }
             pipeline.learn("first cycles", cycles);
-            return Ok(());
+            return Ok(vec![Vec::new(); pipeline.monitors().len()]);
         }
         let mut files = config.baseline_files();
         if let Some(path) = &self.baseline {
@@ -84,15 +84,20 @@ impl BaselineArguments {
             }
             files = vec![Some(path)];
         }
+        let mut records = Vec::new();
         for (monitor, path) in pipeline.monitors_mut().iter_mut().zip(files) {
-            let Some(path) = path else { continue };
+            let Some(path) = path else {
+                records.push(Vec::new());
+                continue;
+            };
             let file = BaselineFile::read(path, monitor.model())?;
             let Some(baseline) = file.newest() else {
                 return Err(Failure::configuration(path, "has no baseline; see seepd learn-baseline"));
             };
             monitor.follow(baseline.clone());
+            records.push(file.baselines);
         }
-        Ok(())
+        Ok(records)
     }
 }
 

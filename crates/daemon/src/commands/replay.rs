@@ -89,7 +89,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     }
     let duty_cycles = DutyCycle::all(&models);
     let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &duty_cycles));
-    arguments.baseline.apply(&mut pipeline, &config)?;
+    let mut records = arguments.baseline.apply(&mut pipeline, &config)?;
     let create =
         |path: &Path| File::create(path).map(BufWriter::new).map_err(|error| Failure::writing(path, error));
     let mut files = Files::default();
@@ -107,12 +107,19 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     let notes = replay_logs(arguments, &config, &mut pipeline, &mut files, &mut out)?;
     let summary = pipeline.summary();
     if let (Some(path), Some(record)) = (&arguments.html, &files.html) {
+        for (record, monitor) in records.iter_mut().zip(pipeline.monitors()) {
+            // One that was learned on the way.
+            record.extend(monitor.baseline().filter(|own| record.last() != Some(own)).cloned());
+        }
+        let names = pipeline.monitors().iter().map(|monitor| monitor.name().unwrap_or_default().to_owned());
+        let baselines: Vec<_> = names.zip(records).collect();
         let page = ReportPage {
             record,
             summary: &summary,
             alarm: &config.alarm,
             area_m2_per_lpm: 1.0 / pipeline.config().flow_lpm(1.0),
             operating_hours_per_year: config.operating_hours_per_year,
+            baselines: &baselines,
         };
         fs::write(path, page.render()).map_err(|error| Failure::writing(path, error))?;
     }

@@ -6,8 +6,9 @@ use super::chart::{Axis, Chart, Layer, Size};
 use super::flags::{self, colour};
 use super::page;
 use crate::alarm::AlarmConfig;
+use crate::baseline::Baseline;
 use crate::event::{Flag, Summary};
-use crate::sink::html::{Curves, HtmlSink, Point};
+use crate::sink::html::{Curves, HtmlSink, Point, Why};
 
 /// What the page shows.
 pub struct ReportPage<'a> {
@@ -21,7 +22,12 @@ pub struct ReportPage<'a> {
     pub area_m2_per_lpm: f64,
     /// Hours that the machine runs in a year.
     pub operating_hours_per_year: f64,
+    /// Baselines on record by duty cycle, the newest last; the name is empty for the only one.
+    pub baselines: &'a [(String, Vec<Baseline>)],
 }
+
+/// Contributions that are shown.
+const PARTS_SHOWN: usize = 8;
 
 /// Times before this are of a clock that began at the machine's start: no date.
 const FIRST_DATE_NS: i64 = 100_000_000_000_000_000;
@@ -50,6 +56,8 @@ impl ReportPage<'_> {
                     "Flow at " (self.mpa()) " MPa on the left, the same leak's area on the right. Estimates below the axis stand on it." }
                 (self.leak_chart().render())
             }
+            @if let Some(why) = &self.record.why { (why_table(why)) }
+            @if self.baselines.iter().any(|(_, record)| !record.is_empty()) { (self.baseline_record()) }
             h2 { "The flags" }
             (self.flags())
             h2 { "Rejected cycles" }
@@ -162,7 +170,7 @@ impl ReportPage<'_> {
         };
         html! {
             h2 { "The command, " (name) " and now" }
-            p.soft { "The controller fights the leak: in the holds the valve stays open, and strokes need more or less of it."
+            p.soft { @if let Some(name) = &self.record.drawn { "Cycles of the duty cycle " (name) ". " } "The controller fights the leak: in the holds the valve stays open, and strokes need more or less of it."
                 @if !curves.healthy { " No cycle of this record was healthy; the last cycles stand beside the first." } }
             (both.render())
             (apart.render())
@@ -196,15 +204,50 @@ impl ReportPage<'_> {
                 points: self.points().map(|p| (at(p), p.leak_flow_lpm)).collect(),
             },
         ]);
+        let mut key = vec![
+            ("estimate".to_owned(), "var(--a)", false),
+            ("90 % interval".to_owned(), "var(--band)", true),
+        ];
+        let absolute = self.points().filter_map(|point| Some((at(point), flow(point.absolute_m2?))));
+        if absolute.clone().next().is_some() {
+            layers.push(Layer::Line { class: "stroke-b", points: absolute.collect() });
+            key[0].0 = "estimate, relative to the baseline".to_owned();
+            key.push(("the model alone".to_owned(), "var(--b)", false));
+        }
         Chart {
             layers,
             right: Some(("area, m²".into(), self.area_m2_per_lpm)),
-            key: vec![("estimate".into(), "var(--a)", false), ("90 % interval".into(), "var(--band)", true)],
+            key,
             ..Chart::new(
                 "Leak by cycle",
                 self.cycle_axis("cycle"),
                 Axis::logarithmic("leak, L/min", 0.01, highest * 1.3),
             )
+        }
+    }
+
+    fn baseline_record(&self) -> Markup {
+        let rows = || {
+            self.baselines.iter().flat_map(|(name, record)| {
+                record.iter().enumerate().map(move |(index, one)| (name, one, index + 1 == record.len()))
+            })
+        };
+        html! {
+            h2 { "The baselines" }
+            p.soft { "What estimates are relative to: the healthy machine's own cycles. The newest counts; the older ones are the record." }
+            div.scroll { table {
+                thead { tr { th { "Learned for" } th { "from" } th { "to" } th.number { "cycles" } th.number { "repeats within, m²" }
+                    th { "the model alone saw, m²" } th { "remarks" } } }
+                tbody { @for (name, baseline, newest) in rows() { tr {
+                    td { @if !name.is_empty() { (name) ": " } (baseline.occasion) @if newest { " " b { "(in force)" } } }
+                    td { (time_text(baseline.from_ns)) } td { (time_text(baseline.to_ns)) }
+                    td.number { (baseline.cycles) @if baseline.left_out > 0 { " (" (baseline.left_out) " left out)" } }
+                    td.number { (format!("{:.1e}", baseline.response_deviation_m2)) }
+                    td { (format!("{:.1e} ({:.1e} … {:.1e})", baseline.absolute_leak_area_m2,
+                        baseline.absolute_interval90_m2[0], baseline.absolute_interval90_m2[1])) }
+                    td { (baseline.remarks.join("; ")) }
+                } } }
+            } }
         }
     }
 
@@ -305,6 +348,37 @@ impl ReportPage<'_> {
     }
 }
 
+/// What the last estimate comes from.
+fn why_table(why: &Why) -> Markup {
+    let (parts, unit, words) = match why {
+        Why::Changes(parts) => (
+            parts,
+            "contributes, m²",
+            "What each phase of the cycle, and the load, contributes to the last cycle's difference from the baseline; what load, oil and supply \
+             do cancels between them.",
+        ),
+        Why::Features(parts) => (
+            parts,
+            "raises the estimate by the factor",
+            "How the features of the last cycle move its estimate away from what the model expects of any machine.",
+        ),
+    };
+    let told = |part: f64| match why {
+        Why::Changes(_) => format!("{part:+.2e}"),
+        Why::Features(_) => format!("{:.3}", part.exp()),
+    };
+    html! {
+        h3 { "Where the last estimate comes from" }
+        p.soft { (words) @if parts.len() > PARTS_SHOWN { " The largest " (PARTS_SHOWN) " of " (parts.len()) "." } }
+        div.scroll { table {
+            thead { tr { th { "Part" } th.number { (unit) } } }
+            tbody { @for (name, part) in parts.iter().take(PARTS_SHOWN) { tr {
+                td { (name.replace('_', " ")) } td.number { (told(*part)) }
+            } } }
+        } }
+    }
+}
+
 /// What a rejection's reason means, for people.
 fn meaning(reason: &str) -> &'static str {
     match reason {
@@ -316,6 +390,7 @@ fn meaning(reason: &str) -> &'static str {
         "out_of_range" => "the command lay outside of −1 … 1",
         "stuck" => "the command stood still while the machine had to move",
         "unlike_baseline" => "differs from the baseline as no leak, load, oil or supply of the training does",
+        "unlike_training" => "like no machine that the model was trained on, and there is no baseline",
         "wrong_rate" => "samples came at another rate than the model's",
         _ => "",
     }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use seepd_signals::{Sample, Signal};
 
-use crate::event::{CycleLine, Event, Flag, FlagEvent, Notice};
+use crate::event::{CycleLine, Event, FeatureValues, Flag, FlagEvent, Notice};
 use crate::pipeline::DutyCycle;
 
 /// Points of a cycle's curve.
@@ -31,8 +31,32 @@ pub struct Point {
     pub interval_m2: [f64; 2],
     /// Flow at the reference pressure difference, L/min.
     pub leak_flow_lpm: f64,
+    /// What the model says without the baseline that the estimate is relative to, m²; `None` where there is no baseline.
+    pub absolute_m2: Option<f64>,
     /// Features in the order of their names; not a number where the cycle's model has no such feature.
     pub features: Vec<f64>,
+}
+
+/// What an estimate comes from: names with their contributions, the largest first.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Why {
+    /// Phases and load, m² of the response against the baseline.
+    Changes(Vec<(String, f64)>),
+    /// Features, in the natural logarithm of the estimate.
+    Features(Vec<(String, f64)>),
+}
+
+impl Why {
+    fn of(line: &CycleLine<'_>) -> Option<Self> {
+        let sorted = |parts: &FeatureValues<'_>| {
+            let mut parts: Vec<(String, f64)> =
+                parts.names.iter().cloned().zip(parts.values.iter().copied()).collect();
+            parts.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+            parts
+        };
+        let changes = line.comparison.as_ref().map(|comparison| Why::Changes(sorted(&comparison.why)));
+        changes.or_else(|| Some(Why::Features(sorted(&line.absolute.as_ref()?.absolute_why))))
+    }
 }
 
 /// A flag that rose or fell.
@@ -95,6 +119,8 @@ pub struct HtmlSink {
     recent: VecDeque<Vec<f32>>,
     /// Cycles for the charts.
     pub points: Thinned<Point>,
+    /// What the last estimate comes from.
+    pub why: Option<Why>,
     /// Flag changes.
     pub changes: Vec<Change>,
     /// Notices: cycle, time in ns, words.
@@ -124,6 +150,7 @@ impl HtmlSink {
             first: Mean::default(),
             recent: VecDeque::new(),
             points: Thinned::new(POINTS_KEPT),
+            why: None,
             changes: Vec::new(),
             notices: Vec::new(),
             rejected: BTreeMap::new(),
@@ -193,7 +220,17 @@ impl HtmlSink {
         }
         let of_name = |name: &String| features.get(name).unwrap_or(f64::NAN);
         let features = self.feature_names.iter().map(of_name).collect();
-        self.points.push(Point { cycle: line.cycle, leak_area_m2, interval_m2, leak_flow_lpm, features });
+        let alone = line.absolute.as_ref().filter(|_| line.comparison.is_some());
+        let absolute_m2 = alone.map(|alone| alone.absolute_leak_area_m2);
+        self.why = Why::of(line);
+        self.points.push(Point {
+            cycle: line.cycle,
+            leak_area_m2,
+            interval_m2,
+            leak_flow_lpm,
+            absolute_m2,
+            features,
+        });
     }
 
     fn draw(&mut self, line: &CycleLine<'_>, leak_flow_lpm: f64) {
