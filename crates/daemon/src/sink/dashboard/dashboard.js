@@ -119,6 +119,10 @@ function showCondition(axis) {
 
 const FINDINGS = { none: "as it was", leak: "more leakage than then", improved: "less leakage than then: learn a new baseline" };
 
+const baselineText = ({ learned_cycles: cycles, occasion, learning }) =>
+  learning ? "learning the healthy machine: " + learning[0] + " of " + learning[1] + " cycles"
+    : cycles ? "against the baseline of " + cycles + " cycles (" + occasion + ")" : "no baseline: the model's own estimate";
+
 // Seconds as a person says them.
 function span(seconds) {
   const units = [["days", 86400], ["hours", 3600], ["minutes", 60]];
@@ -127,13 +131,14 @@ function span(seconds) {
 }
 
 function showBaseline(axis) {
-  const { learned_cycles: cycles, occasion, learning } = axis.baseline;
-  byId("baseline").textContent = learning ? "learning the healthy machine: " + learning[0] + " of " + learning[1] + " cycles"
-    : cycles ? "against the baseline of " + cycles + " cycles (" + occasion + "): " + FINDINGS[axis.finding] : "no baseline: the model's own estimate";
+  byId("baseline").textContent = axis.duty_cycles
+    ? axis.duty_cycles.map((one) => one.name + " (" + one.cycles + " cycles): " + baselineText(one.baseline)).join("; ")
+      + (axis.finding === "none" ? "" : " – " + FINDINGS[axis.finding])
+    : baselineText(axis.baseline) + (axis.baseline.learned_cycles ? ": " + FINDINGS[axis.finding] : "");
   const range = axis.time_to_leak_range_s;
   byId("projection").textContent = axis.time_to_leak_s === null || axis.time_to_leak_s === 0 ? ""
     : "“leak” in about " + span(axis.time_to_leak_s) + " (" + span(range[0]) + " … " + span(range[1]) + ")";
-  byId("renew").hidden = !cycles || Boolean(learning);
+  byId("renew").hidden = !axis.baseline.learned_cycles || Boolean(axis.baseline.learning);
 }
 
 function showSource(axis) {
