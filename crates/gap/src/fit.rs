@@ -10,6 +10,7 @@ use seepd_sim::real::LANES;
 
 use crate::axis::{Axis, Scale, Tunable};
 use crate::record::{BINS, Record};
+use crate::screen::spans_decades;
 use crate::simulate::{View, views};
 
 /// Independent values that a signal is taken to have in a cycle: model errors are alike over a twentieth of a cycle or so, and each bin
@@ -48,7 +49,8 @@ pub fn retunable<A: Axis>(spec: &A) -> Vec<Free> {
 pub fn of_effect<A: Axis>(effect: &'static About, spec: &A) -> Vec<Free> {
     let of = |(index, parameter): (usize, &Parameter)| {
         let (low, high) = spec.range(effect, parameter);
-        let scale = Scale::Linear(0.2 * (high - low));
+        let scale =
+            if spans_decades(low, high) { Scale::Logarithmic } else { Scale::Linear(0.2 * (high - low)) };
         let at = |value| coordinate(scale, value);
         Free { target: Target::Effect(effect, index), scale, low: at(low), high: at(high), prior: None }
     };

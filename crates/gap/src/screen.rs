@@ -22,13 +22,15 @@ pub struct Candidate {
 /// Levels of a parameter that are tried, shares of its range: for one with its neutral value at the low end, and for one with it inside.
 const ONE_SIDED: [f64; 3] = [0.06, 0.25, 0.7];
 const TWO_SIDED: [f64; 4] = [0.12, 0.38, 0.62, 0.88];
+/// Levels of a parameter whose range spans decades, shares of its logarithm: it acts most, and perhaps only, near the low end.
+const DECADES: [f64; 5] = [0.02, 0.05, 0.1, 0.3, 0.7];
 /// Levels of a parameter beside the first.
 const BESIDE: [f64; 2] = [0.15, 0.6];
 /// Levels of a size beside places, times or waves, which are tried at many: how much of it follows from the projection.
 const ONE_SIZE: [f64; 1] = [0.2];
-/// How many starts, and how many waves.
+/// How many starts, and how many waves: near enough that over half a metre the nearest is a quarter of a wave off at most.
 const STARTS: usize = 16;
-const WAVES: usize = 64;
+const WAVES: usize = 192;
 
 /// Screens the catalogue, but for some effects, on the retuned machine; the most promising first.
 pub fn screen<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, without: &[String]) -> Vec<Candidate> {
@@ -86,6 +88,9 @@ fn levels<A: Axis>(effect: &About, spec: &A) -> Vec<Vec<f64>> {
                 .map(|waves_per_m| (1.0 / waves_per_m - low) / (high - low))
                 .collect(),
             _ if many => ONE_SIZE.to_vec(),
+            _ if spans_decades(low, high) => {
+                DECADES.iter().map(|share| low * ((high / low).powf(*share) - 1.0) / (high - low)).collect()
+            }
             _ if inside => TWO_SIDED.to_vec(),
             _ if index == 0 => ONE_SIDED.to_vec(),
             _ => BESIDE.to_vec(),
@@ -102,6 +107,11 @@ fn levels<A: Axis>(effect: &About, spec: &A) -> Vec<Vec<f64>> {
             .collect();
     }
     combinations
+}
+
+/// Whether a range is one of orders of magnitude.
+pub(crate) fn spans_decades(low: f64, high: f64) -> bool {
+    low > 0.0 && high > 100.0 * low
 }
 
 /// What is left of a difference once retuning has taken its part.

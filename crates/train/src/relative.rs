@@ -131,7 +131,7 @@ impl Pair {
 }
 
 /// Levels of noise at which intervals are calibrated; between them they are interpolated.
-pub(crate) const CALIBRATED_NOISE: [f64; 3] = [NOISE_LEVELS[0], NOISE_LEVELS[1], NOISE_LEVELS[4]];
+pub(crate) const CALIBRATED_NOISE: [f64; 5] = NOISE_LEVELS;
 
 /// Levels of noise at which machines are read: drawn anew for each machine, or these.
 #[derive(Debug, Clone, Copy)]
