@@ -5,6 +5,7 @@
 
 #[cfg(feature = "live")]
 #[expect(dead_code, reason = "other tests use the rest")]
+#[expect(clippy::disallowed_methods, reason = "tests of a live daemon wait")]
 #[path = "support/daemon.rs"]
 mod daemon;
 #[expect(dead_code, reason = "other tests use the rest")]

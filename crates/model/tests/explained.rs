@@ -1,7 +1,5 @@
 //! Contributions and novelty in closed form.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
 use seepd_model::novelty::distance;
 use seepd_model::schema::{Calibration, NoveltyFile, Transform, Tree};
 use seepd_model::{Attribution, Ensemble, Novelty};

@@ -1,7 +1,7 @@
 //! From samples to events: the one object that replayed and live data go through.
 //!
 //! No clock (time is the sample's), no input or output, no allocation after start. A [`Monitor`] for each of the axis's duty cycles
-//! reads every sample; where there are several, the [`arbiter`] says whose a cycle is.
+//! reads every sample; where there are several, the arbiter says whose a cycle is.
 
 mod arbiter;
 mod monitor;
