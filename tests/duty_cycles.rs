@@ -61,15 +61,15 @@ load = []
 /// Large enough to be told apart, small enough to train in seconds.
 const SMALL_TRAINING: [&str; 10] = [
     "--observations",
-    "768",
+    "480",
     "--held-out",
     "100",
     "--trials",
-    "2",
+    "1",
     "--compared",
-    "128",
+    "96",
     "--calibration",
-    "256",
+    "128",
 ];
 
 /// Plants, models and a configuration with three duty cycles.
