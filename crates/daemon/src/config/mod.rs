@@ -210,18 +210,14 @@ impl Config {
                 "the file describes one axis at its top and others in [[axes]]; move the former there".into(),
             );
         }
-        let mut names: Vec<&str> = self.axes().iter().map(|axis| axis.axis.as_str()).collect();
-        names.sort_unstable();
-        if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
-            return Err(format!("two axes are called `{}`", twice[0]));
+        if let Some(twice) = named_twice(self.axes().iter().map(|axis| axis.axis.as_str())) {
+            return Err(format!("two axes are called `{twice}`"));
         }
         Ok(())
     }
 
     fn check_axis(&self) -> Result<(), String> {
-        if !is_name(&self.axis) {
-            return Err(format!("axis is `{}`; names have no / # + \" \\ and are not empty", self.axis));
-        }
+        check_name("axis", &self.axis)?;
         if !(1e5..=1e8).contains(&self.reference_dp_pa) {
             return Err(format!("reference_dp_pa is {}; it must lie in 1e5 … 1e8 Pa", self.reference_dp_pa));
         }
@@ -257,16 +253,10 @@ impl Config {
         if self.model.is_some() || self.baseline.file.is_some() {
             return Err("duty_cycles: each names its own model and baseline; `model` and `baseline.file` are then left out".into());
         }
-        let mut names: Vec<&str> =
-            self.duty_cycles.iter().map(|duty_cycle| duty_cycle.name.as_str()).collect();
-        if let Some(wrong) = names.iter().find(|name| !is_name(name)) {
-            return Err(format!(
-                "duty_cycles: name is `{wrong}`; names have no / # + \" \\ and are not empty"
-            ));
-        }
-        names.sort_unstable();
-        if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
-            return Err(format!("two duty cycles are called `{}`", twice[0]));
+        let names = self.duty_cycles.iter().map(|duty_cycle| duty_cycle.name.as_str());
+        names.clone().try_for_each(|name| check_name("duty_cycles: name", name))?;
+        if let Some(twice) = named_twice(names) {
+            return Err(format!("two duty cycles are called `{twice}`"));
         }
         Ok(())
     }
@@ -370,9 +360,19 @@ impl Config {
     }
 }
 
-/// Whether a text can be a name in topics and files.
-fn is_name(text: &str) -> bool {
-    !text.is_empty() && !text.contains(['/', '#', '+', '\0', '"', '\\'])
+/// Checks that a text can be a name in topics and files.
+fn check_name(key: &str, text: &str) -> Result<(), String> {
+    if text.is_empty() || text.contains(['/', '#', '+', '\0', '"', '\\']) {
+        return Err(format!("{key} is `{text}`; names have no / # + \" \\ and are not empty"));
+    }
+    Ok(())
+}
+
+/// A name that is there more than once.
+fn named_twice<'n>(names: impl Iterator<Item = &'n str>) -> Option<&'n str> {
+    let mut names: Vec<&str> = names.collect();
+    names.sort_unstable();
+    names.windows(2).find(|pair| pair[0] == pair[1]).map(|pair| pair[0])
 }
 
 /// The model that the program brings.

@@ -138,8 +138,8 @@ struct LastCycle {
 impl<'a> Desk<'a> {
     fn new(config: &'a Config, pipeline: &Pipeline<'_>, around: &'a Surroundings) -> Self {
         let now_ns = around.clock.now_ns();
-        let periods_s = pipeline.monitors().iter().map(|monitor| monitor.model().file().cycle.period_s);
-        let cycle_points = 3.5 * periods_s.fold(0.0, f64::max) * 1e9 / POINT_NS as f64;
+        let period_s = DutyCycle::longest_period_s(pipeline.config().duty_cycles);
+        let cycle_points = 3.5 * period_s * 1e9 / POINT_NS as f64;
         let record = |monitor| Record::open(&around.folder, config, monitor);
         Desk {
             config,
@@ -231,7 +231,7 @@ impl<'a> Desk<'a> {
         if let Some(name) = line.duty_cycle {
             // What one duty cycle cannot tell another may have told.
             self.time_to_leak = time_to_leak.or(self.time_to_leak);
-            let of_name = self.records.iter().position(|record| record.name() == Some(name));
+            let of_name = self.config.duty_cycles.iter().position(|known| known.name == name);
             self.duty_cycle = of_name.unwrap_or(self.duty_cycle);
         } else {
             self.time_to_leak = time_to_leak;

@@ -16,7 +16,6 @@ const USUAL_CYCLES: usize = 50;
 #[derive(Debug)]
 pub struct Record {
     path: PathBuf,
-    duty_cycle: Option<String>,
     file: BaselineFile,
     learn_cycles: usize,
     /// Whether a new baseline is being learned in the place of an older one.
@@ -46,13 +45,7 @@ impl Record {
             read.inspect_err(|failure| tracing::error!(axis = config.axis, "{}", failure.message)).ok()
         });
         let file = file.unwrap_or_else(|| BaselineFile::new(&config.axis, model));
-        let duty_cycle = monitor.name().map(str::to_owned);
-        Record { path, duty_cycle, file, learn_cycles: config.baseline.learn_cycles, renewing: false }
-    }
-
-    /// The duty cycle's name, where the axis has several.
-    pub fn name(&self) -> Option<&str> {
-        self.duty_cycle.as_deref()
+        Record { path, file, learn_cycles: config.baseline.learn_cycles, renewing: false }
     }
 
     /// Whether a new baseline is being learned in the place of an older one.

@@ -6,7 +6,7 @@
 
 use seepd_features::reader::MAX_FEATURES;
 use seepd_features::statistics::CycleStatistics;
-use seepd_features::{Outcome, RejectedCycle, ValidCycle};
+use seepd_features::{Outcome, Reason, RejectedCycle, ValidCycle};
 
 use super::monitor::Judge;
 
@@ -31,7 +31,7 @@ pub(super) struct Heard {
 )]
 enum Content {
     Valid { claim: Claim, features: [f64; MAX_FEATURES], count: usize, statistics: CycleStatistics },
-    Rejected(RejectedCycle),
+    Rejected(Reason),
 }
 
 /// How well a monitor knows a cycle.
@@ -53,7 +53,11 @@ impl Heard {
                 features: features.get(..*count).unwrap_or_default(),
                 statistics,
             }),
-            Content::Rejected(rejected) => Outcome::Rejected(*rejected),
+            Content::Rejected(reason) => Outcome::Rejected(RejectedCycle {
+                start_ns: self.start_ns,
+                end_ns: self.end_ns,
+                reason: *reason,
+            }),
         }
     }
 
@@ -124,7 +128,7 @@ impl Arbiter {
                 which,
                 start_ns: rejected.start_ns,
                 end_ns: rejected.end_ns,
-                content: Content::Rejected(*rejected),
+                content: Content::Rejected(rejected.reason),
             },
         };
         let is_known = self.told.is_some_and(|(span_ns, was_valid)| {

@@ -52,11 +52,10 @@ impl<'m> Pipeline<'m> {
     /// Starts with an empty memory.
     pub fn new(config: PipelineConfig<'m>) -> Self {
         let monitors: Vec<_> = config.duty_cycles.iter().map(Monitor::new).collect();
-        let periods_s = monitors.iter().map(|monitor| monitor.reader.definition().period_s);
         Pipeline {
             config,
             arbiter: Arbiter::new(monitors.len()),
-            period_s: periods_s.fold(0.0, f64::max),
+            period_s: DutyCycle::longest_period_s(config.duty_cycles),
             monitors,
             progress: Progress::default(),
         }

@@ -32,6 +32,11 @@ impl<'m> DutyCycle<'m> {
         models.iter().map(named).collect()
     }
 
+    /// The longest period, s; 0 without a duty cycle.
+    pub fn longest_period_s(all: &[DutyCycle<'_>]) -> f64 {
+        all.iter().map(|duty_cycle| duty_cycle.model.file().cycle.period_s).fold(0.0, f64::max)
+    }
+
     /// Every feature of any of the duty cycles, once, in their order.
     pub fn feature_names(all: &[DutyCycle<'_>]) -> Vec<String> {
         let mut names: Vec<String> = Vec::new();
@@ -193,11 +198,16 @@ impl<'m> Monitor<'m> {
 impl Judge<'_> {
     /// What the model says of a cycle by itself.
     pub(super) fn absolute(&self, valid: &ValidCycle<'_>) -> Absolute {
-        let estimate = self.model.estimate_at(valid.features, valid.statistics.noise);
-        let novelty = self.model.novelty(&estimate, &valid.statistics.phase_means());
+        let (estimate, novelty) = self.estimate(valid);
         let mut contributions = [0.0; MAX_FEATURES];
         self.attribution.contributions(self.model.ensemble(), valid.features, &mut contributions);
         Absolute { estimate, novelty, contributions }
+    }
+
+    fn estimate(&self, valid: &ValidCycle<'_>) -> (Estimate, Novelty) {
+        let estimate = self.model.estimate_at(valid.features, valid.statistics.noise);
+        let novelty = self.model.novelty(&estimate, &valid.statistics.phase_means());
+        (estimate, novelty)
     }
 
     /// Whether there is a baseline.
@@ -211,7 +221,7 @@ impl Judge<'_> {
             Commissioning::Following(follower) => follower.compare(self.model, valid),
             _ => None,
         };
-        compared.map_or_else(|| self.absolute(valid).novelty.ratio, |(estimate, ..)| estimate.novelty.ratio)
+        compared.map_or_else(|| self.estimate(valid).1.ratio, |(estimate, ..)| estimate.novelty.ratio)
     }
 
     /// Compares a cycle that ends at a time, s, with the baseline, where there is one.

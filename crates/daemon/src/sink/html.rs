@@ -136,11 +136,11 @@ impl HtmlSink {
     /// A collector. Cycles with an estimate below the flow count as healthy: flags need a few cycles to rise, so that they do not
     /// tell of the first ones. Of several duty cycles the first one's command is drawn.
     pub fn new(duty_cycles: &[DutyCycle<'_>], healthy_below_lpm: f64) -> Self {
-        let periods_s = duty_cycles.iter().map(|duty_cycle| duty_cycle.model.file().cycle.period_s);
-        let rate_hz = duty_cycles.first().map_or(0.0, |first| first.model.file().sample_rate_hz);
-        let ring_samples = (PERIODS_HELD * periods_s.clone().fold(0.0, f64::max) * rate_hz) as usize;
+        let first = duty_cycles.first().map(|first| first.model.file());
+        let rate_hz = first.map_or(0.0, |first| first.sample_rate_hz);
+        let ring_samples = (PERIODS_HELD * DutyCycle::longest_period_s(duty_cycles) * rate_hz) as usize;
         HtmlSink {
-            period_s: periods_s.clone().next().unwrap_or(1.0),
+            period_s: first.map_or(1.0, |first| first.cycle.period_s),
             drawn: duty_cycles.first().and_then(|first| first.name).map(str::to_owned),
             feature_names: DutyCycle::feature_names(duty_cycles),
             healthy_below_lpm,
