@@ -29,6 +29,8 @@ struct Day {
     load_variation: f64,
     leak_area_m2: f64,
     cycles: usize,
+    /// Half width of the valve's dead band.
+    deadband: f64,
 }
 
 /// A machine of the series: its plant, and its load over plan.
@@ -41,6 +43,9 @@ fn machine(number: u64) -> (MachineSpec, f64) {
 fn job(number: u64, day: &Day) -> Job {
     let (spec, load) = machine(number);
     let mut spec = series::on_a_day(&spec, day.oil_c, day.supply);
+    if day.deadband > 0.0 {
+        spec = series::with_more_deadband(&spec, day.deadband);
+    }
     spec.controller.steps_per_period = spec.stable_steps();
     let mut noise = Noise::new(8_000 + number, day.cycles as u64);
     // One cycle more at either end: the first settles, the last is cut.
@@ -50,7 +55,8 @@ fn job(number: u64, day: &Day) -> Job {
             ..Turn::with_leak(day.leak_area_m2)
         })
         .collect();
-    Job { spec, turns, skip_ticks: 10_000, record_ticks: (day.cycles as u64 * 10_000) + 1_500 }
+    let record_ticks = (day.cycles as u64 * 10_000) + 1_500;
+    Job { spec, turns, start_tick: 0, skip_ticks: 10_000, record_ticks }
 }
 
 /// What came of a machine's cycles.
@@ -62,6 +68,8 @@ struct Course {
     /// Cycles that were taken for those of another machine.
     rejected: usize,
     estimates_m2: Vec<f64>,
+    /// Cycles whose interval holds the truth.
+    covered: usize,
     baseline: Option<Baseline>,
 }
 
@@ -81,6 +89,7 @@ fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool
             let mut jobs: Vec<Job> = machines.iter().map(|(number, day, _)| job(*number, day)).collect();
             let steps = jobs.iter().map(|job| job.spec.controller.steps_per_period).max().unwrap_or(10);
             jobs.iter_mut().for_each(|job| job.spec.controller.steps_per_period = steps);
+            let truths: Vec<f64> = machines.iter().map(|(_, day, _)| day.leak_area_m2).collect();
             let mut lanes: Vec<(Pipeline<'_>, Noise, i64, Course)> = machines
                 .iter()
                 .map(|(number, day, baseline)| {
@@ -105,6 +114,8 @@ fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool
                     course.cycles += 1;
                     course.rejected += usize::from(line.reason == Some("unlike_baseline"));
                     course.estimates_m2.extend(line.leak_area_m2);
+                    let holds = |[low, high]: [f64; 2]| (low..=high).contains(&truths[lane]);
+                    course.covered += usize::from(line.interval90_m2.is_some_and(holds));
                     if line.comparison.as_ref().is_some_and(|comparison| comparison.finding == Finding::Leak)
                     {
                         course.found_after.get_or_insert(course.cycles);
@@ -123,25 +134,31 @@ fn model() -> Model {
     Model::from_json(seepd::EMBEDDED_MODEL).unwrap()
 }
 
-/// Machines at their baseline: oil at some temperature, load ± 5 %.
-fn baselines(model: &Model, machines: u64, with_load: bool) -> Vec<Baseline> {
-    let wanted: Vec<_> = (0..machines)
-        .map(|number| {
-            let oil_c = Noise::new(6_000, number).uniform(30.0, 60.0);
-            (
-                number,
-                Day {
-                    oil_c,
-                    supply: 1.0,
-                    load_variation: 0.05,
-                    leak_area_m2: 0.0,
-                    cycles: BASELINE_CYCLES + 1,
-                },
-                None,
-            )
-        })
-        .collect();
-    run(model, &wanted, with_load).into_iter().map(|course| course.baseline.expect("a baseline")).collect()
+/// What is common to the machines of a test, and what changes from cycle to cycle and from day to day.
+#[derive(Clone, Copy)]
+struct Setting {
+    load_variation: f64,
+    supply_drift: f64,
+    with_load: bool,
+    deadband: f64,
+}
+
+const SETTING: Setting =
+    Setting { load_variation: 0.05, supply_drift: 0.01, with_load: false, deadband: 0.0 };
+
+/// Machines at their baseline: oil at some temperature.
+fn baselines(model: &Model, machines: u64, setting: Setting) -> Vec<Baseline> {
+    let day = |number| Day {
+        oil_c: Noise::new(6_000, number).uniform(30.0, 60.0),
+        supply: 1.0,
+        load_variation: setting.load_variation,
+        leak_area_m2: 0.0,
+        cycles: BASELINE_CYCLES + 1,
+        deadband: setting.deadband,
+    };
+    let wanted: Vec<_> = (0..machines).map(|number| (number, day(number), None)).collect();
+    let courses = run(model, &wanted, setting.with_load);
+    courses.into_iter().map(|course| course.baseline.expect("a baseline")).collect()
 }
 
 /// The same machines later, one after the other, with other oil and supply.
@@ -149,15 +166,17 @@ fn later(
     model: &Model,
     baselines: &[Baseline],
     leak_area_m2: f64,
-    (load_variation, drift, cycles, with_load): (f64, f64, usize, bool),
+    cycles: usize,
+    setting: Setting,
 ) -> Vec<Course> {
+    let Setting { load_variation, supply_drift, with_load, deadband } = setting;
     let days: Vec<_> = baselines
         .iter()
         .enumerate()
         .map(|(number, baseline)| {
             let mut noise = Noise::new(5_000 + cycles as u64, number as u64);
-            let (oil_c, supply) = (noise.uniform(30.0, 60.0), noise.factor(drift));
-            let day = Day { oil_c, supply, load_variation, leak_area_m2, cycles };
+            let (oil_c, supply) = (noise.uniform(30.0, 60.0), noise.factor(supply_drift));
+            let day = Day { oil_c, supply, load_variation, leak_area_m2, cycles, deadband };
             (number as u64, day, Some(baseline.clone()))
         })
         .collect();
@@ -177,11 +196,21 @@ fn share_found(courses: &[Course]) -> f64 {
 /// The requirement, on few machines: 0.10 L/min on each within 30 cycles (12 are simulated), and no false alarm.
 #[test]
 fn a_leak_of_a_tenth_of_a_litre_is_found_and_a_healthy_machine_is_left_alone() {
-    let model = model();
-    let baselines = baselines(&model, 16, false);
-    let leaking = later(&model, &baselines, area_m2(&model, 0.10), (0.05, 0.01, 12, false));
+    found_and_left_alone(0.0);
+}
+
+/// The same where the valves' lands overlap, and did at the baseline. Training draws such valves, and 1 % is well within what it draws.
+#[test]
+fn a_dead_band_that_the_baseline_has_hides_no_leak() {
+    found_and_left_alone(0.01);
+}
+
+fn found_and_left_alone(deadband: f64) {
+    let (model, setting) = (model(), Setting { deadband, ..SETTING });
+    let baselines = baselines(&model, 16, setting);
+    let leaking = later(&model, &baselines, area_m2(&model, 0.10), 12, setting);
     assert_eq!(share_found(&leaking), 1.0);
-    let healthy = later(&model, &baselines, 0.0, (0.10, 0.01, 40, false));
+    let healthy = later(&model, &baselines, 0.0, 40, Setting { load_variation: 0.10, ..setting });
     for (number, course) in healthy.iter().enumerate() {
         assert_eq!((course.found_after, course.rejected), (None, 0), "machine {number}");
         assert!(course.cycles >= 39);
@@ -191,17 +220,50 @@ fn a_leak_of_a_tenth_of_a_litre_is_found_and_a_healthy_machine_is_left_alone() {
 /// Leaks above 1 L/min: the median error over machines. 3 % are required; 32 machines' median is good to about 0.3 %.
 #[test]
 fn areas_are_right_within_three_percent() {
-    let model = model();
-    let baselines = baselines(&model, 32, true);
+    let (model, load_variation) = (model(), 0.10);
+    let baselines = baselines(&model, 32, Setting { with_load: true, ..SETTING });
     for (flow_lpm, with_load) in [(2.0, false), (8.0, true)] {
-        let truth_m2 = area_m2(&model, flow_lpm);
-        let mut errors: Vec<f64> = later(&model, &baselines, truth_m2, (0.10, 0.01, 2, with_load))
-            .iter()
-            .flat_map(|course| course.estimates_m2.iter().map(|estimate| (estimate / truth_m2 - 1.0).abs()))
-            .collect();
-        errors.sort_by(f64::total_cmp);
-        assert!(errors[errors.len() / 2] < 0.03, "{errors:?}");
+        let setting = Setting { load_variation, with_load, ..SETTING };
+        assert!(median_error(&model, &baselines, area_m2(&model, flow_lpm), setting) < 0.03);
     }
+}
+
+/// Sizes under dead bands, from below the article's range to half of its largest: all cycles are estimated, sizes ascend with the leak's, errors
+/// stay within a few per cent, and intervals hold the truth: 90 % is meant; the cycles of one machine err alike, so that
+/// these are 16 independent ones a size, 80 a width, and a share of them is good to 7 % (2 σ).
+#[test]
+fn sizes_are_right_whatever_dead_band_the_baseline_has() {
+    let model = model();
+    for deadband in [0.003, 0.01, 0.015] {
+        let setting = Setting { deadband, ..SETTING };
+        let baselines = baselines(&model, 16, setting);
+        let (mut covered, mut cycles, mut before_m2) = (0, 0, vec![0.0; baselines.len()]);
+        for truth_m2 in [2e-8, 1e-7, 3e-7, 1e-6, 5e-6] {
+            let courses = later(&model, &baselines, truth_m2, 2, setting);
+            for (course, before_m2) in courses.iter().zip(&mut before_m2) {
+                assert_eq!(course.rejected, 0, "{deadband} {truth_m2}");
+                assert!(!course.estimates_m2.is_empty(), "{deadband} {truth_m2}");
+                let least_m2 = course.estimates_m2.iter().copied().fold(f64::INFINITY, f64::min);
+                assert!(least_m2 > *before_m2, "{deadband} {truth_m2}: {least_m2} after {before_m2}");
+                *before_m2 = course.estimates_m2.iter().copied().fold(0.0, f64::max);
+                (covered, cycles) = (covered + course.covered, cycles + course.cycles);
+            }
+            let error = median_error(&model, &baselines, truth_m2, setting);
+            assert!(error < if truth_m2 < 1e-7 { 0.15 } else { 0.06 }, "{deadband} {truth_m2}: {error}");
+        }
+        let share = covered as f64 / cycles as f64;
+        assert!(share > 0.83, "{deadband}: {share}");
+    }
+}
+
+/// Median relative error of the areas over the machines.
+fn median_error(model: &Model, baselines: &[Baseline], truth_m2: f64, setting: Setting) -> f64 {
+    let mut errors: Vec<f64> = later(model, baselines, truth_m2, 2, setting)
+        .iter()
+        .flat_map(|course| course.estimates_m2.iter().map(|estimate| (estimate / truth_m2 - 1.0).abs()))
+        .collect();
+    errors.sort_by(f64::total_cmp);
+    errors[errors.len() / 2]
 }
 
 /// The whole requirement, and the smallest leak that is found: prints the table of docs/ACCURACY.md. Some minutes.
@@ -209,16 +271,18 @@ fn areas_are_right_within_three_percent() {
 #[ignore = "some minutes: cargo test --release -p seepd --test trust -- --ignored --nocapture detection"]
 fn detection_limit_and_false_alarms() {
     let model = model();
-    for with_load in [false, true] {
-        let baselines = baselines(&model, 200, with_load);
+    for (with_load, deadband) in [(false, 0.0), (true, 0.0), (false, 0.01)] {
+        let setting = Setting { with_load, deadband, ..SETTING };
+        let baselines = baselines(&model, 200, setting);
         println!(
-            "load {}: of 200 machines, baseline of 50 cycles, load ± 5 %, noise {NOISE}",
+            "load {}, dead band {deadband}: of 200 machines, baseline of 50 cycles, load ± 5 %, noise {NOISE}",
             if with_load { "measured" } else { "unknown" }
         );
         println!("{:>8} {:>9} {:>14} {:>15}", "L/min", "m²", "found in 30", "median cycles");
         let mut smallest = f64::INFINITY;
         for flow_lpm in [0.10, 0.07, 0.05, 0.045, 0.04, 0.035, 0.03, 0.02] {
-            let courses = later(&model, &baselines, area_m2(&model, flow_lpm), (0.05, 0.0, 31, with_load));
+            let setting = Setting { supply_drift: 0.0, ..setting };
+            let courses = later(&model, &baselines, area_m2(&model, flow_lpm), 31, setting);
             let mut delays: Vec<usize> = courses.iter().filter_map(|course| course.found_after).collect();
             delays.sort_unstable();
             let share = share_found(&courses);
@@ -233,7 +297,7 @@ fn detection_limit_and_false_alarms() {
             }
         }
         println!("smallest leak found by 95 %: {smallest} L/min");
-        let healthy = later(&model, &baselines, 0.0, (0.10, 0.01, 51, with_load));
+        let healthy = later(&model, &baselines, 0.0, 51, Setting { load_variation: 0.10, ..setting });
         let cycles: usize = healthy.iter().map(|course| course.cycles).sum();
         let alarms = healthy.iter().filter(|course| course.found_after.is_some()).count();
         let rejected: usize = healthy.iter().map(|course| course.rejected).sum();

@@ -235,6 +235,8 @@ impl Inputs {
         for (i, change) in changes.iter().enumerate() {
             for base in self.baseline.iter().take(self.phases) {
                 take(change * base, [i, i]);
+                take(change * change * base, [i, i]);
+                take(change * base * base, [i, i]);
             }
         }
     }
@@ -242,7 +244,7 @@ impl Inputs {
     /// Terms of a response over so many phases, with the load or without.
     pub fn terms(phases: usize, knows_load: bool) -> usize {
         let n = phases + usize::from(knows_load);
-        n + n * (n + 1) / 2 + n * phases
+        n + n * (n + 1) / 2 + 3 * n * phases
     }
 
     /// The response, and each change's share of it: of a product of two, half each.

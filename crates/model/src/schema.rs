@@ -237,8 +237,8 @@ pub struct Calibration {
 /// How a leak is estimated relative to the healthy machine's own baseline: from the change of each phase's mean command.
 ///
 /// With the changes δ, the baseline's means less their own mean, standardised, as b, and where known the load's relative change as one more δ, the
-/// *response* is the polynomial `Σ c δ_i + Σ c δ_i δ_j (i ≤ j) + Σ c δ_i b_j`, in m² of leak area, coefficients in this order. It may be
-/// negative. The trees, over b, δ (without the load) and `ln(response + offset)`, correct the latter.
+/// *response* is the polynomial `Σ c δ_i + Σ c δ_i δ_j (i ≤ j) + Σ (c δ_i b_j + c' δ_i² b_j + c" δ_i b_j²)`, in m² of leak area, coefficients in
+/// this order. It may be negative. The trees, over b, δ (without the load) and `ln(response + offset)`, correct the latter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RelativeFile {

@@ -33,6 +33,7 @@ fn batched_cycle(bencher: divan::Bencher<'_, '_>) {
         .map(|lane| Job {
             spec: MachineSpec::default(),
             turns: vec![Turn::with_leak(1e-6 * lane as f64)],
+            start_tick: 0,
             skip_ticks: 0,
             record_ticks: TICKS,
         })

@@ -19,6 +19,8 @@ pub struct Job {
     pub spec: MachineSpec,
     /// Its turns; see [`Schedule::new`].
     pub turns: Vec<Turn>,
+    /// Tick of the first turn at which the machine stands at rest and the run begins.
+    pub start_tick: u64,
     /// How many ticks to run without recording.
     pub skip_ticks: u64,
     /// How many ticks to record after that.
@@ -49,11 +51,15 @@ pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &Record<Lanes>)) {
     let machine = Machine::<Lanes>::new(&specs);
     let mut schedules: Vec<Schedule> = jobs
         .iter()
-        .map(|job| Schedule::new(&job.spec.cycle, job.spec.controller.period_s, job.turns.clone()))
+        .map(|job| {
+            Schedule::new(&job.spec.cycle, job.spec.controller.period_s, job.turns.clone())
+                .starting_at(job.start_tick)
+        })
         .collect();
     let end = jobs.iter().map(|job| job.skip_ticks + job.record_ticks).max().unwrap_or(0);
-    let mut state = machine.start();
-    let mut instants: Vec<Instant> = Vec::with_capacity(LANES);
+    let mut instants: Vec<Instant> =
+        schedules.iter().filter_map(|schedule| schedule.clone().next()).collect();
+    let mut state = machine.start_at(&Input::gather(&instants));
     // A block of ticks at a time runs under the widest instructions; the sink is called outside of them.
     let mut block: Vec<Record<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     let mut inputs: Vec<Input<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
@@ -94,7 +100,10 @@ pub fn follow(machines: &[MachineSpec], drive: &[Instant], mut sink: impl FnMut(
     let specs: Vec<&MachineSpec> = machines.iter().collect();
     let machine = Machine::<Lanes>::new(&specs);
     let a_leak = Lanes::from_lanes(|lane| specs[lane.min(specs.len() - 1)].plant.leak_area_m2);
-    let mut state = machine.start_at(drive.first());
+    let mut state = match drive.first() {
+        Some(first) => machine.start_at(&Input::gather(std::slice::from_ref(first))),
+        None => return,
+    };
     let mut block: Vec<Record<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     for (number, instants) in drive.chunks(BLOCK_TICKS).enumerate() {
         block.clear();

@@ -119,6 +119,8 @@ pub struct Schedule {
     turn: usize,
     tick: u64,
     ticks_of_turn: u64,
+    /// Load at the tick, N: the end of the one before.
+    load_n: f64,
 }
 
 /// The drive at one controller tick.
@@ -152,9 +154,19 @@ impl Schedule {
             turn: 0,
             tick: 0,
             ticks_of_turn: 0,
+            load_n: 0.0,
         };
         schedule.ticks_of_turn = schedule.ticks_of(0);
+        schedule.load_n = schedule.load_at(0, 0);
         schedule
+    }
+
+    /// The same drive from a tick of the first turn on.
+    #[must_use]
+    pub fn starting_at(mut self, tick: u64) -> Self {
+        self.tick = tick.min(self.ticks_of_turn - 1);
+        self.load_n = self.load_at(0, self.tick);
+        self
     }
 
     fn at(&self, turn: usize) -> &Turn {
@@ -167,7 +179,7 @@ impl Schedule {
         ((self.cycle.period_s * turn.stretch + turn.pause_s) / self.period_s).round().max(1.0) as u64
     }
 
-    fn load_n(&self, turn: usize, tick: u64) -> f64 {
+    fn load_at(&self, turn: usize, tick: u64) -> f64 {
         let of = self.at(turn);
         self.cycle.load_n(tick as f64 * self.period_s / of.stretch) * of.load_factor
     }
@@ -184,13 +196,16 @@ impl Iterator for Schedule {
             self.tick = 0;
             self.ticks_of_turn = self.ticks_of(self.turn);
         }
+        let load_end_n = self.load_at(self.turn, self.tick);
+        let load_n = std::mem::replace(&mut self.load_n, load_end_n);
         let of = self.at(turn);
+        let at_s = tick as f64 * self.period_s / of.stretch;
         Some(Instant {
             turn,
-            at_s: tick as f64 * self.period_s / of.stretch,
-            demand_m: self.cycle.demand_m(tick as f64 * self.period_s / of.stretch),
-            load_n: self.load_n(turn, tick),
-            load_end_n: self.load_n(self.turn, self.tick),
+            at_s,
+            demand_m: self.cycle.demand_m(at_s),
+            load_n,
+            load_end_n,
             leak_area_m2: of.leak_area_m2,
         })
     }

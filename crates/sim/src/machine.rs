@@ -134,11 +134,8 @@ impl<T: Real> Machine<T> {
     }
 
     /// The machine at rest where a drive begins.
-    pub fn start_at(&self, first: Option<&Instant>) -> MachineState<T> {
-        match first {
-            Some(first) => self.at_rest(T::splat(first.demand_m), T::splat(first.load_n)),
-            None => self.start(),
-        }
+    pub fn start_at(&self, first: &Input<T>) -> MachineState<T> {
+        self.at_rest(first.demand, first.load)
     }
 
     fn at_rest(&self, x: T, load: T) -> MachineState<T> {

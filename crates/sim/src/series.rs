@@ -35,6 +35,22 @@ pub fn vary(spec: &MachineSpec, share: f64, noise: &mut Noise) -> MachineSpec {
     varied
 }
 
+/// The machine with so much more overlap of its valve's lands, share of full command: the effect `valve_deadband`, up to its largest value.
+pub fn with_more_deadband(spec: &MachineSpec, half_width: f64) -> MachineSpec {
+    let mut overlapped = spec.clone();
+    let own = overlapped
+        .effects
+        .entry("valve_deadband".into())
+        .or_default()
+        .entry("half_width".into())
+        .or_default();
+    *own = (*own + half_width).min(MOST_DEADBAND);
+    overlapped
+}
+
+/// Largest dead band, share of full command: what the effect admits.
+const MOST_DEADBAND: f64 = 0.15;
+
 /// The machine with oil of another temperature, °C, and its relief pressure over its own. The oil does what the effect
 /// `oil_viscosity.factor` does, without a law that is asked at each step. Warm oil makes the line stiffer:
 /// [`MachineSpec::stable_steps`] tells how many steps it needs.

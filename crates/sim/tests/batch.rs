@@ -42,7 +42,7 @@ fn jobs(count: usize) -> Vec<Job> {
                 },
                 Turn { pause_s: 0.1, ..Turn::with_leak(1e-6) },
             ];
-            Job { spec, turns, skip_ticks: 0, record_ticks: TICKS }
+            Job { spec, turns, start_tick: 0, skip_ticks: 0, record_ticks: TICKS }
         })
         .collect()
 }

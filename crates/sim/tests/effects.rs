@@ -72,6 +72,7 @@ fn neutral_lane_beside_an_acting_one_leaves_every_bit() {
         let jobs = [with(*effect, &strong), MachineSpec::default()].map(|spec| Job {
             spec,
             turns: vec![Turn::with_leak(1e-6)],
+            start_tick: 0,
             skip_ticks: 10_000,
             record_ticks: 10_000,
         });

@@ -85,13 +85,10 @@ impl<'m> Lens<'m> {
     ) -> Result<Vec<Cycle>, StudyError> {
         let reading = self.reading();
         let read = dataset::simulate(observations, |index, commands| {
-            let statistics: Option<Vec<CycleStatistics>> = levels
-                .iter()
-                .map(|sigma| {
-                    let mut noise = Noise::new(seed ^ 0x0073_7475_6479, observations[index].stream);
-                    reading.read(commands, filter, *sigma, &mut noise)
-                })
-                .collect();
+            let mut noise = Noise::new(seed ^ 0x0073_7475_6479, observations[index].stream);
+            let unit = dataset::unit_noise(&mut noise, commands.len());
+            let statistics: Option<Vec<CycleStatistics>> =
+                levels.iter().map(|sigma| reading.read(commands, filter, *sigma, &unit)).collect();
             Some(Cycle { leak_area_m2: observations[index].leak_area_m2, by_noise: statistics? })
         });
         let cycles: Vec<Cycle> = read.into_iter().flatten().collect();

@@ -105,7 +105,17 @@ pub fn lead(observation: &Observation) -> usize {
     (lead_ticks(&observation.spec) + observation.stream % 50) as usize
 }
 
-/// Runs the machines over a warm-up cycle and one cycle more, and hands each one's noiseless command to `reduce`
+/// Where in the warm-up cycle a machine begins, at rest, s: what it did before that has died away by the end of the cycle.
+fn warm_up_from_s(spec: &MachineSpec) -> f64 {
+    let latest_s = LATEST_WARM_UP * spec.cycle.period_s;
+    let begins = spec.cycle.moves.iter().map(|stroke| stroke.from_s);
+    begins.filter(|from_s| *from_s <= latest_s).fold(0.0, f64::max)
+}
+
+/// The warm-up is no shorter than the rest of the period after this share.
+const LATEST_WARM_UP: f64 = 0.6;
+
+/// Runs the machines over the end of a warm-up cycle and one cycle more, and hands each one's noiseless command to `reduce`
 /// with its index. The recording ends late enough for the last stroke to be confirmed.
 pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[f64]) -> R + Sync) -> Vec<R> {
     let jobs: Vec<Job> = observations
@@ -119,15 +129,23 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
                 stretch: observation.stretch,
                 ..Turn::with_leak(observation.leak_area_m2)
             };
+            let warm_up_s = observation.stretch * warm_up_from_s(&observation.spec);
+            let start_tick = (warm_up_s / observation.spec.controller.period_s) as u64;
             Job {
                 spec: observation.spec.clone(),
                 turns: vec![turn],
-                skip_ticks: period_ticks - lead,
+                start_tick,
+                skip_ticks: period_ticks - start_tick - lead,
                 record_ticks: lead + period_ticks + period_ticks / 10,
             }
         })
         .collect();
     batch::commands(&jobs, reduce)
+}
+
+/// Noise of standard deviation 1 for so many samples: scaled, it serves every level.
+pub fn unit_noise(noise: &mut Noise, samples: usize) -> Vec<f64> {
+    (0..samples).map(|_| noise.normal(1.0)).collect()
 }
 
 /// What reading needs that is not in the file's form.
@@ -149,14 +167,14 @@ impl<'m> Reading<'m> {
         self.cycle.definition(self.sample_rate_hz, self.phases, self.projections)
     }
 
-    /// The statistics of the one cycle in a recorded command, with measurement noise added; `None` where the
-    /// monitor's own segmentation does not find it.
+    /// The statistics of the one cycle in a recorded command with measurement noise added, `sigma` times that of
+    /// [`unit_noise`]; `None` where the monitor's own segmentation does not find it.
     pub fn read(
         &self,
         commands: &[f64],
         filter: Option<Kalman>,
         sigma: f64,
-        noise: &mut Noise,
+        unit_noise: &[f64],
     ) -> Option<CycleStatistics> {
         let definition = self.definition();
         let reader = CycleReader::new(filter, definition, &[]);
@@ -167,12 +185,66 @@ impl<'m> Reading<'m> {
                 found = Some(*cycle.statistics);
             }
         };
-        for (index, command) in commands.iter().enumerate() {
-            let time_ns = (index as f64 * 1e9 / self.sample_rate_hz).round() as i64;
-            let noisy = (command + noise.normal(sigma)).clamp(-1.0, 1.0);
+        let period_ns = 1e9 / self.sample_rate_hz;
+        for (index, (command, noise)) in commands.iter().zip(unit_noise).enumerate() {
+            let time_ns = (index as f64 * period_ns + 0.5) as i64;
+            let noisy = (command + sigma * noise).clamp(-1.0, 1.0);
             reader.push(&mut state, &Sample::command(time_ns, noisy), &mut keep);
         }
         reader.finish(&mut state, &mut keep);
         found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The shorter warm-up leaves phases where a whole cycle of it would have them: within a third of the noise that the mean of a
+    /// phase keeps after 50 cycles (1.7e-5), or a thousandth of what the leak does to it.
+    #[test]
+    fn half_a_cycle_warms_a_machine_up() {
+        let with = |assignments: &[&str], leak_area_m2: f64| {
+            let mut spec = MachineSpec::default();
+            for assignment in assignments {
+                spec.set_effect(assignment).unwrap();
+            }
+            Observation { spec, load_factor: 1.0, stretch: 1.0, leak_area_m2, stream: 0 }
+        };
+        let deadband = ["valve_deadband.half_width=0.01"];
+        let accumulator = ["accumulator.volume_m3=0.002", "accumulator.precharge_pa=1e7"];
+        let observations: Vec<Observation> = [0.0, 1e-8, 1e-6, 1e-5]
+            .iter()
+            .flat_map(|leak| [&[][..], &deadband[..], &accumulator[..]].map(|effects| with(effects, *leak)))
+            .map(|one| Observation { spec: one.spec.with_stable_steps(), ..one })
+            .collect();
+        let whole: Vec<Job> = observations
+            .iter()
+            .map(|observation| {
+                let turns = vec![Turn::with_leak(observation.leak_area_m2)];
+                Job {
+                    spec: observation.spec.clone(),
+                    turns,
+                    start_tick: 0,
+                    skip_ticks: 9_000,
+                    record_ticks: 12_000,
+                }
+            })
+            .collect();
+        // One at a time: each takes its own steps.
+        for (job, observation) in whole.iter().zip(&observations) {
+            let one = std::slice::from_ref(observation);
+            let short = simulate(one, |_, commands| commands.to_vec());
+            let long = batch::commands(std::slice::from_ref(job), |_, commands| commands.to_vec());
+            assert_eq!(short[0].len(), long[0].len());
+            let mean = |commands: &[f64], from: usize, to: usize| {
+                commands[1_000 + from..1_000 + to].iter().sum::<f64>() / (to - from) as f64
+            };
+            for (from, to) in [(0, 500), (500, 2_500), (2_500, 3_000), (3_000, 4_000), (6_000, 8_500)] {
+                let (short, long) = (mean(&short[0], from, to), mean(&long[0], from, to));
+                let bound = 5e-6_f64.max(1e-3 * long.abs());
+                assert!((short - long).abs() < bound, "{observation:?} {from}: {short} {long}");
+            }
+        }
     }
 }

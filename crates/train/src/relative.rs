@@ -1,7 +1,8 @@
 //! Learns to compare a cycle with the machine's own baseline: [`RelativeFile`] says what is learned.
 //!
 //! Each machine is simulated healthy, as its baseline, and again under other loads, oil temperatures and supply pressures, with
-//! leaks and without. A baseline is the mean of [`BASELINE_CYCLES`] cycles, so that its noise is that much smaller.
+//! leaks and without. A baseline is the mean of [`BASELINE_CYCLES`] cycles, while which the oil warms or cools: it is the mean of
+//! [`BASELINE_MOMENTS`] of them, with as much noise as is left of all.
 
 use seepd_features::statistics::CycleStatistics;
 use seepd_model::accuracy::{Decade, Judged, coverage, decades, median_relative_error};
@@ -25,6 +26,11 @@ use crate::train::Settings;
 
 /// Cycles that a baseline is the mean of.
 pub const BASELINE_CYCLES: usize = 50;
+/// Cycles by which a baseline is simulated.
+pub const BASELINE_MOMENTS: usize = 2;
+/// When they are, in shares of the way from the oil at the baseline's beginning to that at its end: where Gauss and Legendre have two
+/// points, so that their mean is that of all cycles for whatever is a cubic of the oil.
+const MOMENTS: [f64; BASELINE_MOMENTS] = [0.211_324_865_405_187_1, 0.788_675_134_594_812_9];
 
 /// What changes on a machine, and from one machine to the next.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,24 +45,38 @@ pub struct Conditions {
     pub oil_c: (f64, f64),
     /// Supply pressure of a cycle, within ± this share of the machine's.
     pub supply: f64,
+    /// Share of the machines whose valve has a dead band beside the plant file's, and its largest half width, share of full command.
+    pub deadband: (f64, f64),
 }
 
 impl Default for Conditions {
     fn default() -> Self {
-        Conditions { parameters: 0.10, period: 0.03, load: 0.10, oil_c: (30.0, 60.0), supply: 0.01 }
+        Conditions {
+            parameters: 0.10,
+            period: 0.03,
+            load: 0.10,
+            oil_c: (30.0, 60.0),
+            supply: 0.01,
+            deadband: (1.0 / 3.0, 0.02),
+        }
     }
 }
 
 impl Conditions {
     /// A machine of the series.
     pub fn machine(&self, spec: &MachineSpec, noise: &mut Noise) -> Observation {
-        Observation {
+        let mut observation = Observation {
             spec: series::vary(spec, self.parameters, noise),
             load_factor: noise.factor(self.parameters),
             stretch: noise.factor(self.period),
             leak_area_m2: 0.0,
             stream: 0,
+        };
+        let (share, widest) = self.deadband;
+        if noise.uniform(0.0, 1.0) < share {
+            observation.spec = series::with_more_deadband(&observation.spec, noise.uniform(0.0, widest));
         }
+        observation
     }
 
     /// The machine on some day: with its load over the machine's own, oil temperature and supply pressure over its own.
@@ -140,6 +160,9 @@ enum Levels<'a> {
     These(&'a [f64]),
 }
 
+/// A level of noise, and the cycle's mean command by phase at it.
+type Leveled = (f64, Vec<f64>);
+
 /// Where the conditions and the reading of cycles come from.
 struct Workshop<'a> {
     spec: &'a MachineSpec,
@@ -158,46 +181,32 @@ impl Workshop<'_> {
         leak_at: fn(f64) -> f64,
         tell: &mut dyn FnMut(usize),
     ) -> Vec<Pair> {
-        let conditions = &self.settings.conditions;
+        let per_machine = BASELINE_MOMENTS + cycles;
         let mut pairs = Vec::with_capacity(machines * cycles);
-        let portion = 256 / (cycles + 1);
+        let portion = 256 / per_machine;
         for from in (0..machines).step_by(portion) {
-            let many = portion.min(machines - from);
-            let mut observations = Vec::with_capacity(many * (cycles + 1));
-            let mut loads = Vec::with_capacity(many * (cycles + 1));
-            for machine in from..from + many {
-                let stream = (purpose << 32) + machine as u64;
-                let mut noise = Noise::new(self.settings.seed, stream);
-                let series = conditions.machine(self.spec, &mut noise);
-                for cycle in 0..=cycles {
-                    let oil_c = noise.uniform(conditions.oil_c.0, conditions.oil_c.1);
-                    let (load, supply, rank) = (
-                        noise.factor(conditions.load),
-                        noise.factor(conditions.supply),
-                        noise.uniform(0.0, 1.0),
-                    );
-                    // The baseline's loads average out.
-                    let (load, supply) = if cycle == 0 { (1.0, 1.0) } else { (load, supply) };
-                    let mut today = Conditions::on_a_day(&series, load, oil_c, supply);
-                    if cycle > 0 {
-                        let index = machine * cycles + cycle - 1;
-                        let rank = (index as f64 + rank) / (machines * cycles) as f64;
-                        // Neighbouring machines have leaks far apart: a portion of machines is a sample of all.
-                        let rank = (rank * SCATTER).fract();
-                        today.leak_area_m2 = leak_at(rank);
-                    }
-                    today.stream = stream * 64 + cycle as u64;
-                    observations.push(today);
+            let to = machines.min(from + portion);
+            let mut observations = Vec::with_capacity(portion * per_machine);
+            let mut loads = Vec::with_capacity(portion * per_machine);
+            for machine in from..to {
+                let leak_of = |cycle: usize, within: f64| {
+                    let rank = ((machine * cycles + cycle) as f64 + within) / (machines * cycles) as f64;
+                    // Neighbouring machines have leaks far apart: a portion of machines is a sample of all.
+                    leak_at((rank * SCATTER).fract())
+                };
+                self.days_of((purpose << 32) + machine as u64, cycles, &leak_of, &mut |observation, load| {
+                    observations.push(observation);
                     loads.push(load);
-                }
+                });
             }
             let read = simulate_stably(&observations, |index, observation, commands| {
-                self.read(observation, commands, index % (cycles + 1) == 0, levels)
+                self.read(observation, commands, index % per_machine < BASELINE_MOMENTS, levels)
             });
-            for (machine, group) in read.chunks(cycles + 1).enumerate() {
-                let Some(Some(baseline)) = group.first() else { continue };
-                for (cycle, present) in group.iter().enumerate().skip(1) {
-                    let at = machine * (cycles + 1) + cycle;
+            for (machine, group) in read.chunks(per_machine).enumerate() {
+                let (moments, days) = group.split_at(BASELINE_MOMENTS.min(group.len()));
+                let Some(baseline) = mean_of(moments) else { continue };
+                for (cycle, present) in days.iter().enumerate() {
+                    let at = machine * per_machine + BASELINE_MOMENTS + cycle;
                     let Some(present) = present else { continue };
                     pairs.push(Pair {
                         leak_area_m2: observations[at].leak_area_m2,
@@ -205,7 +214,7 @@ impl Workshop<'_> {
                         readings: baseline
                             .iter()
                             .zip(present)
-                            .map(|((noise, baseline), (_, present))| PairReading {
+                            .map(|(baseline, (noise, present))| PairReading {
                                 noise: *noise,
                                 baseline: baseline.clone(),
                                 present: present.clone(),
@@ -214,9 +223,38 @@ impl Workshop<'_> {
                     });
                 }
             }
-            tell(from + many);
+            tell(to);
         }
         pairs
+    }
+
+    /// A machine's cycles with their loads: those of its baseline, then others. `leak_of` has the leak of a cycle and a number in 0 … 1.
+    fn days_of(
+        &self,
+        stream: u64,
+        cycles: usize,
+        leak_of: &dyn Fn(usize, f64) -> f64,
+        take: &mut dyn FnMut(Observation, f64),
+    ) {
+        let conditions = &self.settings.conditions;
+        let mut noise = Noise::new(self.settings.seed, stream);
+        let series = conditions.machine(self.spec, &mut noise);
+        let oil_c = |noise: &mut Noise| noise.uniform(conditions.oil_c.0, conditions.oil_c.1);
+        let (begins_c, ends_c) = (oil_c(&mut noise), oil_c(&mut noise));
+        for cycle in 0..BASELINE_MOMENTS + cycles {
+            let mut load = 1.0; // The baseline's loads average out.
+            let mut today = if let Some(moment) = MOMENTS.get(cycle) {
+                Conditions::on_a_day(&series, load, begins_c + moment * (ends_c - begins_c), 1.0)
+            } else {
+                load = noise.factor(conditions.load);
+                let supply = noise.factor(conditions.supply);
+                let mut today = Conditions::on_a_day(&series, load, oil_c(&mut noise), supply);
+                today.leak_area_m2 = leak_of(cycle - BASELINE_MOMENTS, noise.uniform(0.0, 1.0));
+                today
+            };
+            today.stream = stream * 64 + cycle as u64;
+            take(today, load);
+        }
     }
 
     /// The cycle's mean command by phase at each level of noise.
@@ -226,7 +264,7 @@ impl Workshop<'_> {
         commands: &[f64],
         is_baseline: bool,
         levels: Levels<'_>,
-    ) -> Option<Vec<(f64, Vec<f64>)>> {
+    ) -> Option<Vec<Leveled>> {
         // All cycles of a machine have the same sensor.
         let mut of_machine = Noise::new(self.settings.seed ^ 0x7365_6e73, observation.stream / 64);
         let drawn;
@@ -237,13 +275,14 @@ impl Workshop<'_> {
                 &drawn
             }
         };
-        let averaged = if is_baseline { (BASELINE_CYCLES as f64).sqrt() } else { 1.0 };
+        let averaged = if is_baseline { (BASELINE_CYCLES / BASELINE_MOMENTS) as f64 } else { 1.0 };
+        let mut noise = Noise::new(self.settings.seed ^ 0x006e_6f69_7365, observation.stream);
+        let unit = dataset::unit_noise(&mut noise, commands.len());
         levels
             .iter()
             .map(|level| {
-                let mut noise = Noise::new(self.settings.seed ^ 0x006e_6f69_7365, observation.stream);
-                let statistics =
-                    self.reading.read(commands, self.settings.filter, level / averaged, &mut noise)?;
+                let sigma = level / averaged.sqrt();
+                let statistics = self.reading.read(commands, self.settings.filter, sigma, &unit)?;
                 Some((*level, self.phase_means(&statistics)))
             })
             .collect()
@@ -262,7 +301,8 @@ fn simulate_stably<R: Send>(
 ) -> Vec<R> {
     let steps: Vec<usize> = observations.iter().map(|observation| observation.spec.stable_steps()).collect();
     let mut order: Vec<usize> = (0..observations.len()).collect();
-    order.sort_by_key(|index| steps[*index]);
+    // Nor does a machine without effects wait for the laws of one that has some.
+    order.sort_by_key(|index| (steps[*index], observations[*index].spec.effects.len()));
     let mut ordered: Vec<Observation> = order.iter().map(|index| observations[*index].clone()).collect();
     for (lanes, places) in ordered.chunks_mut(LANES).zip(order.chunks(LANES)) {
         let most = places.iter().map(|index| steps[*index]).max().unwrap_or(1);
@@ -276,6 +316,22 @@ fn simulate_stably<R: Send>(
     let mut numbered: Vec<(usize, R)> = order.into_iter().zip(results).collect();
     numbered.sort_by_key(|(index, _)| *index);
     numbered.into_iter().map(|(_, result)| result).collect()
+}
+
+/// The baseline at each level of noise, from its moments; `None` where one of them was not found.
+fn mean_of(moments: &[Option<Vec<Leveled>>]) -> Option<Vec<Vec<f64>>> {
+    let moments: Vec<&Vec<Leveled>> = moments.iter().map(Option::as_ref).collect::<Option<_>>()?;
+    let first = moments.first()?;
+    let mean = |level: usize, phase: usize| {
+        moments.iter().map(|moment| moment[level].1[phase]).sum::<f64>() / moments.len() as f64
+    };
+    Some(
+        first
+            .iter()
+            .enumerate()
+            .map(|(level, (_, means))| (0..means.len()).map(|phase| mean(level, phase)).collect())
+            .collect(),
+    )
 }
 
 /// Scatters ranks: far from every simple fraction.

@@ -7,7 +7,6 @@ use seepd_model::accuracy::{
     Decade, Judged, coverage, decades, in_main_range, mean_absolute_error, r_squared,
 };
 use seepd_model::schema::Transform;
-use seepd_sim::noise::Noise;
 use serde::Serialize;
 
 use crate::dataset::{self, Observation, Reading};
@@ -61,8 +60,9 @@ pub struct Report {
     pub accuracy: Accuracy,
     /// The model at every noise level.
     pub by_noise: Vec<Accuracy>,
-    /// The article's experiment: learned at 0.001, tested at each level.
-    pub noise_table: Vec<NoiseLine>,
+    /// The article's experiment: learned at 0.001, tested at each level, where it was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub noise_table: Option<Vec<NoiseLine>>,
 }
 
 /// What is measured, and on what.
@@ -79,20 +79,20 @@ pub(crate) struct Subject<'a> {
 /// A machine's cycle as the model reads it: features, and mean commands by phase.
 pub(crate) type Read = (Vec<f64>, Vec<f64>);
 
-/// A machine at each noise level, with the filter and without; `None` where the cycle was not found.
+/// A machine at each noise level, with the filter and, for the noise table only, without; `None` where the cycle was not found.
 type Readings = [[Option<Read>; NOISE_LEVELS.len()]; 2];
 
 pub(crate) fn measure(subject: &Subject<'_>) -> Report {
     let readings: Vec<Readings> = dataset::simulate(subject.observations, |index, commands| {
-        let observation = &subject.observations[index];
-        [subject.settings.filter, None].map(|filter| {
-            let Subject { reading, features, settings, .. } = subject;
-            read_at_each_noise(reading, features, settings, (observation, commands), filter, &NOISE_LEVELS)
-        })
+        let Subject { reading, features, settings, .. } = subject;
+        let case = (&subject.observations[index], commands);
+        let read = |filter| read_at_each_noise(reading, features, settings, case, filter, &NOISE_LEVELS);
+        [read(settings.filter), if settings.noise_table { read(None) } else { Default::default() }]
     });
     let by_noise: Vec<Accuracy> =
         (0..NOISE_LEVELS.len()).map(|level| accuracy(subject, &readings, level)).collect();
-    Report { accuracy: by_noise[0].clone(), by_noise, noise_table: noise_table(subject, &readings) }
+    let noise_table = subject.settings.noise_table.then(|| noise_table(subject, &readings));
+    Report { accuracy: by_noise[0].clone(), by_noise, noise_table }
 }
 
 /// A machine's cycle at each noise level; `None` where it was not found.
@@ -104,10 +104,9 @@ pub(crate) fn read_at_each_noise<const LEVELS: usize>(
     filter: Option<Kalman>,
     levels: &[f64; LEVELS],
 ) -> [Option<Read>; LEVELS] {
+    let unit = dataset::unit_noise(&mut noise_of(observation, settings), commands.len());
     levels.map(|sigma| {
-        // The same noise at every level, scaled.
-        let mut noise: Noise = noise_of(observation, settings);
-        reading.read(commands, filter, sigma, &mut noise).map(|statistics| features.read(&statistics))
+        reading.read(commands, filter, sigma, &unit).map(|statistics| features.read(&statistics))
     })
 }
 
