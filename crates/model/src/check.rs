@@ -304,12 +304,17 @@ pub(crate) fn check_relative(file: &RelativeFile, phases: usize) -> Result<(), M
     for (index, scale) in file.baseline_scale.iter().enumerate() {
         within(&format!("relative.baseline_scale[{index}]"), *scale, 1e-9, 1e3)?;
     }
+    within("relative.deadband.intercept", file.deadband.intercept, -1.0, 1.0)?;
+    has_length("relative.deadband.slopes", &file.deadband.slopes, phases)?;
+    within("relative.deadband.limit", file.deadband.limit, 0.0, 1.0)?;
     within("relative.offset_m2", file.offset_m2, 1e-15, 1.0)?;
     for (name, view, knows_load) in [("command", &file.command, false), ("load", &file.load, true)] {
         let path = |key: &str| format!("relative.{name}.{key}");
         has_length(&path("response"), &view.response, Inputs::terms(phases, knows_load))?;
-        check_calibration(&view.calibration, &path("calibration"))?;
-        within(&path("reference_m2"), view.reference_m2, 0.0, 1.0)?;
+        for (kind, file) in [("plain", &view.plain), ("deadband", &view.deadband)] {
+            check_calibration(&file.calibration, &path(&format!("{kind}.calibration")))?;
+            within(&path(&format!("{kind}.reference_m2")), file.reference_m2, 0.0, 1.0)?;
+        }
     }
     if file.trees.is_empty() {
         return refuse("relative.trees", "is empty");

@@ -11,7 +11,7 @@ use crate::check::ModelError;
 use crate::ensemble::{Ensemble, Estimate};
 use crate::model::agree;
 use crate::novelty::Novelty;
-use crate::schema::{RelativeFile, RelativeGolden, Transform, ViewFile};
+use crate::schema::{DeadbandFile, KindFile, RelativeFile, RelativeGolden, Transform, ViewFile};
 
 /// Most changes that a response depends on: the phases and the load.
 pub const MAX_CHANGES: usize = MAX_PHASES + 1;
@@ -72,7 +72,7 @@ impl Relative {
     pub(crate) fn from_checked(mut file: RelativeFile) -> Result<Self, ModelError> {
         // The file's own trees keep no calibration: the views have theirs.
         let ensemble =
-            Ensemble::from_checked(&file.trees, Transform::Identity, file.command.calibration.clone());
+            Ensemble::from_checked(&file.trees, Transform::Identity, file.command.plain.calibration.clone());
         file.trees = Vec::new();
         let relative = Relative { file, ensemble };
         for (index, golden) in relative.file.golden.iter().enumerate() {
@@ -136,7 +136,7 @@ impl Relative {
             spread,
             Some(comparison.noise),
             Transform::LnOffset(offset),
-            &view.calibration,
+            &self.kind(comparison.load_change.is_some(), comparison.baseline).calibration,
         );
         let novelty = self.novelty(estimate.transformed, &inputs);
         RelativeEstimate { estimate, response_m2, contributions_m2, novelty }
@@ -144,9 +144,22 @@ impl Relative {
 
     /// How far the baseline lies from training's, in standard deviations: the farthest phase.
     pub fn baseline_distance(&self, baseline: &[f64]) -> f64 {
-        let centred = centred(baseline);
-        let standardised = centred.iter().zip(&self.file.baseline_mean).zip(&self.file.baseline_scale);
-        standardised.map(|((value, mean), scale)| libm::fabs((value - mean) / scale)).fold(0.0, f64::max)
+        let standardised = standardised(baseline, &self.file.baseline_mean, &self.file.baseline_scale);
+        standardised.iter().map(|value| libm::fabs(*value)).fold(0.0, f64::max)
+    }
+
+    /// Half width of the valve's dead band beyond the plant file's, share of full command, as the baseline shows it; `None` for one that
+    /// shows none. See [`DeadbandFile`].
+    pub fn deadband(&self, baseline: &[f64]) -> Option<f64> {
+        let file = &self.file.deadband;
+        let standardised = standardised(baseline, &self.file.baseline_mean, &self.file.baseline_scale);
+        Some(half_width(file, &standardised)).filter(|half_width| *half_width > file.limit)
+    }
+
+    /// How far estimates go wrong for a machine with this baseline.
+    pub fn kind(&self, knows_load: bool, baseline: &[f64]) -> &KindFile {
+        let view = self.view(knows_load);
+        if self.deadband(baseline).is_some() { &view.deadband } else { &view.plain }
     }
 
     fn novelty(&self, y: f64, inputs: &Inputs) -> Novelty {
@@ -172,6 +185,23 @@ pub fn centred(baseline: &[f64]) -> [f64; MAX_PHASES] {
     centred
 }
 
+/// A baseline as [`centred`], over mean and standard deviation of training's.
+pub fn standardised(baseline: &[f64], mean: &[f64], scale: &[f64]) -> [f64; MAX_PHASES] {
+    let mut standardised = centred(baseline);
+    for (value, (mean, scale)) in standardised.iter_mut().zip(mean.iter().zip(scale)) {
+        *value = (*value - mean) / scale;
+    }
+    for value in standardised.iter_mut().skip(mean.len()) {
+        *value = 0.0;
+    }
+    standardised
+}
+
+/// Half width of the dead band that a standardised baseline shows, whether it exceeds the limit or not.
+pub fn half_width(file: &DeadbandFile, standardised: &[f64]) -> f64 {
+    file.intercept + file.slopes.iter().zip(standardised).map(|(slope, value)| slope * value).sum::<f64>()
+}
+
 /// What response and trees depend on.
 #[derive(Debug, Clone, Copy)]
 pub struct Inputs {
@@ -193,15 +223,14 @@ impl Inputs {
         let phases = mean.len().min(MAX_PHASES);
         let mut inputs =
             Inputs { changes: [0.0; MAX_CHANGES], count: phases, baseline: [0.0; MAX_PHASES], phases };
-        let centred = centred(comparison.baseline);
-        for index in 0..phases {
+        let standardised = standardised(comparison.baseline, mean, scale);
+        for (index, standardised) in standardised.iter().enumerate().take(phases) {
             let (Some(before), Some(now)) = (comparison.baseline.get(index), comparison.present.get(index))
             else {
                 continue;
             };
             inputs.changes[index] = now - before;
-            inputs.baseline[index] =
-                ((centred[index] - mean[index]) / scale[index]).clamp(-FARTHEST_BASELINE, FARTHEST_BASELINE);
+            inputs.baseline[index] = standardised.clamp(-FARTHEST_BASELINE, FARTHEST_BASELINE);
         }
         if let Some(change) = comparison.load_change {
             inputs.changes[phases] = change;

@@ -246,6 +246,8 @@ pub struct RelativeFile {
     pub baseline_mean: Vec<f64>,
     /// Their standard deviation.
     pub baseline_scale: Vec<f64>,
+    /// The dead band of a valve, as its baseline shows it.
+    pub deadband: DeadbandFile,
     /// Offset of the logarithm, m².
     pub offset_m2: f64,
     /// With the command alone.
@@ -266,12 +268,36 @@ pub struct RelativeFile {
     pub golden: Vec<RelativeGolden>,
 }
 
+/// How a baseline shows the dead band of the machine's valve beyond that of the plant file: half width, share of full command, linear in the
+/// baseline's means less their own mean, standardised. Estimates for a machine with a dead band are less certain, and load, oil and supply move its response
+/// more: each view has a [`KindFile`] for machines without and one for machines with.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeadbandFile {
+    /// Where every standardised mean is 0.
+    pub intercept: f64,
+    /// What it grows by with each of them.
+    pub slopes: Vec<f64>,
+    /// Most that the baseline of a machine without one shows.
+    pub limit: f64,
+}
+
 /// The estimate from certain signals.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ViewFile {
     /// Coefficients of the response, m².
     pub response: Vec<f64>,
+    /// For machines whose baseline shows no dead band.
+    pub plain: KindFile,
+    /// For those whose baseline shows one.
+    pub deadband: KindFile,
+}
+
+/// How far estimates for machines of a kind go wrong.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KindFile {
     /// Interval around the estimate.
     pub calibration: Calibration,
     /// Largest response that load, oil and supply give a healthy machine for long, m².

@@ -48,6 +48,11 @@ pub fn with_more_deadband(spec: &MachineSpec, half_width: f64) -> MachineSpec {
     overlapped
 }
 
+/// Half width of a machine's dead band, share of full command.
+pub fn deadband(spec: &MachineSpec) -> f64 {
+    spec.effects.get("valve_deadband").and_then(|effect| effect.get("half_width")).copied().unwrap_or(0.0)
+}
+
 /// Largest dead band, share of full command: what the effect admits.
 const MOST_DEADBAND: f64 = 0.15;
 

@@ -6,9 +6,12 @@
 
 use seepd_features::statistics::CycleStatistics;
 use seepd_model::accuracy::{Decade, Judged, coverage, decades, median_relative_error};
-use seepd_model::relative::{Comparison, DRIFT_ALLOWANCE, Inputs, MAX_CHANGES, centred, log_response};
+use seepd_model::relative::{
+    Comparison, DRIFT_ALLOWANCE, Inputs, MAX_CHANGES, centred, half_width, log_response, standardised,
+};
 use seepd_model::schema::{
-    DetectionFile, NoveltyFile, RelativeFile, RelativeGolden, Transform, Tree, ViewFile,
+    DeadbandFile, DetectionFile, KindFile, NoveltyFile, RelativeFile, RelativeGolden, Transform, Tree,
+    ViewFile,
 };
 use seepd_model::{Ensemble, ModelError, ModelFile};
 use seepd_sim::noise::Noise;
@@ -109,6 +112,12 @@ const SHARE_SMALL: f64 = 0.25;
 const OFFSET_M2: f64 = 2e-8;
 /// Regularisation of the response, over the mean square of its terms.
 const RIDGE: f64 = 1e-7;
+/// The same of the dead band, whose terms are standardised.
+const DEADBAND_RIDGE: f64 = 1e-6;
+/// Room over the widest dead band that the baseline of a machine without one shows.
+const DEADBAND_ROOM: f64 = 1.25;
+/// Cycles with which machines of a kind are calibrated by themselves.
+const LEAST_OF_A_KIND: usize = 200;
 /// How the trees that correct the response are grown. The response leaves them little, so that small ones do.
 const GROWTH: Growth = Growth { learners: 24, least_leaf: 40, feature_share: 0.5 };
 /// Room over the largest change of load that was learned from: the response is smooth.
@@ -127,6 +136,8 @@ fn leak_at(rank: f64) -> f64 {
 #[derive(Debug, Clone)]
 struct Pair {
     leak_area_m2: f64,
+    /// Half width of the dead band beyond the plant file's.
+    deadband: f64,
     load_change: f64,
     readings: Vec<PairReading>,
 }
@@ -210,6 +221,7 @@ impl Workshop<'_> {
                     let Some(present) = present else { continue };
                     pairs.push(Pair {
                         leak_area_m2: observations[at].leak_area_m2,
+                        deadband: series::deadband(&observations[at].spec) - series::deadband(self.spec),
                         load_change: loads[at] - 1.0,
                         readings: baseline
                             .iter()
@@ -373,6 +385,7 @@ pub struct RelativeAccuracy {
 struct Learned {
     baseline_mean: Vec<f64>,
     baseline_scale: Vec<f64>,
+    deadband: DeadbandFile,
     /// Coefficients with the command alone, and with the load too.
     responses: [Vec<f64>; 2],
     trees: Vec<Tree>,
@@ -386,9 +399,11 @@ impl Learned {
         for (knows_load, response) in [false, true].into_iter().zip(&mut responses) {
             *response = fit_response(pairs, &baseline_mean, &baseline_scale, knows_load)?;
         }
+        let deadband = fit_deadband(pairs, &baseline_mean, &baseline_scale)?;
         let mut learned = Learned {
             baseline_mean,
             baseline_scale,
+            deadband,
             responses,
             trees: Vec::new(),
             ensemble: Ensemble::from_checked(
@@ -444,27 +459,46 @@ impl Learned {
 
     /// Calibrates a view; the last of the pairs' readings is without noise.
     fn view(&self, pairs: &[Pair], knows_load: bool) -> ViewFile {
-        let is_main = |pair: &&Pair| pair.leak_area_m2 > 0.0;
+        let is_plain = |pair: &&Pair| self.half_width(pair, QUIET) <= self.deadband.limit;
+        let (plain, others): (Vec<&Pair>, Vec<&Pair>) = pairs.iter().partition(is_plain);
+        let all: Vec<&Pair> = pairs.iter().collect();
+        let kind = |pairs: Vec<&Pair>| {
+            self.kind(if pairs.len() < LEAST_OF_A_KIND { &all } else { &pairs }, knows_load)
+        };
+        let response = self.responses[usize::from(knows_load)].clone();
+        ViewFile { response, plain: kind(plain), deadband: kind(others) }
+    }
+
+    fn kind(&self, pairs: &[&Pair], knows_load: bool) -> KindFile {
         let by_noise: Vec<(f64, Vec<Prediction>)> = CALIBRATED_NOISE
             .iter()
             .enumerate()
             .map(|(level, noise)| {
-                let leaking = pairs.iter().filter(is_main);
+                let leaking = pairs.iter().filter(|pair| pair.leak_area_m2 > 0.0);
                 (*noise, leaking.map(|pair| self.predict(pair, level, knows_load)).collect())
             })
             .collect();
-        let healthy: Vec<&Pair> = pairs.iter().filter(|pair| pair.leak_area_m2 == 0.0).collect();
-        let estimates = healthy.iter().flat_map(|pair| {
+        let healthy = || pairs.iter().filter(|pair| pair.leak_area_m2 == 0.0);
+        let estimates = healthy().flat_map(|pair| {
             (0..CALIBRATED_NOISE.len())
                 .map(|level| libm::exp(self.predict(pair, level, knows_load).mean) - OFFSET_M2)
         });
         let calibration = conformal::calibration(&by_noise, estimates);
-        let reference_m2 = healthy
-            .iter()
-            .map(|pair| self.response_m2(&pair.comparison(QUIET, knows_load)).abs())
-            .fold(0.0, f64::max);
-        let response = self.responses[usize::from(knows_load)].clone();
-        ViewFile { response, calibration, reference_m2: significant(reference_m2) }
+        let responses = healthy().map(|pair| self.response_m2(&pair.comparison(QUIET, knows_load)).abs());
+        KindFile { calibration, reference_m2: significant(responses.fold(0.0, f64::max)) }
+    }
+
+    /// Half width of the dead band that the pair's baseline shows.
+    fn half_width(&self, pair: &Pair, level: usize) -> f64 {
+        let baseline = &pair.readings[level].baseline;
+        half_width(&self.deadband, &standardised(baseline, &self.baseline_mean, &self.baseline_scale))
+    }
+
+    /// Sets the limit above which a baseline shows a dead band, from machines without one.
+    fn limit_deadband(&mut self, pairs: &[Pair]) {
+        let plain = pairs.iter().filter(|pair| pair.deadband == 0.0);
+        let shown = plain.flat_map(|pair| (0..pair.readings.len()).map(|level| self.half_width(pair, level)));
+        self.deadband.limit = significant(DEADBAND_ROOM * shown.fold(0.0, f64::max));
     }
 
     fn novelty(&self, learned: [&[Pair]; 2], others: &[Pair]) -> Option<Vec<NoveltyFile>> {
@@ -496,6 +530,27 @@ fn spread_of_baselines(pairs: &[Pair]) -> (Vec<f64>, Vec<f64>) {
         })
         .collect();
     (mean, scale)
+}
+
+/// Regression of the dead band on the standardised baseline; `None` where the means are not finite.
+fn fit_deadband(pairs: &[Pair], mean: &[f64], scale: &[f64]) -> Option<DeadbandFile> {
+    let terms = mean.len() + 1;
+    let row_of = |pair: &Pair| {
+        let standardised = standardised(&pair.readings[0].baseline, mean, scale);
+        let mut row = vec![1.0];
+        row.extend(&standardised[..mean.len()]);
+        row
+    };
+    let rows: Vec<Vec<f64>> = pairs.iter().map(row_of).collect();
+    let sum = |of: &dyn Fn(&[f64], &Pair) -> f64| {
+        rows.iter().zip(pairs).map(|(row, pair)| of(row, pair)).sum::<f64>() / pairs.len() as f64
+    };
+    let factor = linear::cholesky(terms, |i, j| {
+        sum(&|row, _| row[i] * row[j]) + if i == j { DEADBAND_RIDGE } else { 0.0 }
+    })?;
+    let right = (0..terms).map(|i| sum(&|row, pair| row[i] * pair.deadband)).collect();
+    let solution = linear::solve(&factor, right);
+    Some(DeadbandFile { intercept: solution[0], slopes: solution[1..].to_vec(), limit: 0.0 })
 }
 
 /// Ridge regression of the leak area on the response's terms; errors count relative to area + offset. `None` where the terms are not
@@ -561,7 +616,7 @@ pub(crate) fn learn(
         leak_at,
         &mut |done| tell(done, all),
     );
-    let learned = Learned::from(&pairs, settings.seed)?;
+    let mut learned = Learned::from(&pairs, settings.seed)?;
     let mut levels = CALIBRATED_NOISE.to_vec();
     levels.push(0.0);
     let others = workshop.pairs(
@@ -580,6 +635,7 @@ pub(crate) fn learn(
         dataset::leak_beyond,
         &mut |_| (),
     );
+    learned.limit_deadband(&others);
     let mut file = RelativeFile {
         offset_m2: OFFSET_M2,
         command: learned.view(&others, false),
@@ -593,6 +649,7 @@ pub(crate) fn learn(
         piston_areas_m2: [spec.plant.cap_area_m2, spec.plant.annulus_area_m2],
         baseline_mean: learned.baseline_mean,
         baseline_scale: learned.baseline_scale,
+        deadband: learned.deadband,
         trees: learned.trees,
         golden: Vec::new(),
     };

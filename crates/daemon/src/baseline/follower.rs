@@ -64,7 +64,7 @@ fn compare(
     if before.novelty.ratio > 1.0 || before.response_m2 <= 0.0 {
         return estimate;
     }
-    let healthy_limit = relative.view(load_change.is_some()).calibration.healthy_limit;
+    let healthy_limit = relative.kind(load_change.is_some(), baseline).calibration.healthy_limit;
     RelativeEstimate {
         estimate: Estimate { value: 0.0, interval: [0.0, healthy_limit], ..estimate.estimate },
         response_m2: -before.response_m2,
@@ -142,7 +142,7 @@ impl Follower {
             .unwrap_or(baseline.response_deviation_m2)
             .max(LEAST_DEVIATION_M2);
         DriftLimits {
-            reference_m2: relative.view(knows_load).reference_m2,
+            reference_m2: relative.kind(knows_load, &baseline.mean).reference_m2,
             deviation_m2,
             threshold: relative.file().detection.threshold,
         }

@@ -158,6 +158,13 @@ fn remarks(baseline: &Baseline, relative: &Relative, responses: &[f64]) -> Vec<S
              train a model on its own plant file"
         ));
     }
+    if let Some(half_width) = relative.deadband(&baseline.mean).filter(|_| distance <= FAR) {
+        remarks.push(format!(
+            "the valve seems to have a dead band of {:.1} % of full command beyond the plant file's: leaks are compared with machines like it, \
+             and are found from somewhat larger ones on",
+            100.0 * half_width
+        ));
+    }
     let total = (baseline.cycles + baseline.left_out) as f64;
     if baseline.left_out as f64 > MANY * total {
         remarks.push(format!(
@@ -169,7 +176,7 @@ fn remarks(baseline: &Baseline, relative: &Relative, responses: &[f64]) -> Vec<S
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
     let change = mean(&responses[responses.len() - third..]) - mean(&responses[..third]);
     let chance = 4.0 * baseline.response_deviation_m2 * (2.0 / third.max(1) as f64).sqrt();
-    let reference_m2 = relative.view(false).reference_m2;
+    let reference_m2 = relative.kind(false, &baseline.mean).reference_m2;
     if change.abs() > chance + reference_m2 {
         remarks.push(format!(
             "from its first to its last cycles the machine changed by {change:+.1e} m² of leak: it was warming up, or it is wearing"
