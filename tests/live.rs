@@ -136,6 +136,8 @@ fn frames_reach_every_sink_and_an_acknowledgement_comes_back() {
     });
     assert_eq!((&frame[..4], frame[4]), (&0x6a0u32.to_ne_bytes()[..], 8));
     let flow_ml = f64::from(u16::from_le_bytes([frame[10], frame[11]]));
+    let lpm_per_m2 = status["leak_flow_lpm"].as_f64().unwrap() / status["leak_area_m2"].as_f64().unwrap();
+    assert!((status["lpm_per_m2"].as_f64().unwrap() / lpm_per_m2 - 1.0).abs() < 1e-9, "{status}");
     assert!((flow_ml / 1000.0 - status["leak_flow_lpm"].as_f64().unwrap()).abs() < 0.001);
 
     // An acknowledgement over MQTT takes note; the flag stays.

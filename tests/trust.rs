@@ -228,31 +228,42 @@ fn areas_are_right_within_three_percent() {
     }
 }
 
-/// Sizes under dead bands, from below the article's range to half of its largest: all cycles are estimated, sizes ascend with the leak's, errors
-/// stay within a few per cent, and intervals hold the truth: 90 % is meant; the cycles of one machine err alike, so that
-/// these are 16 independent ones a size, 80 a width, and a share of them is good to 7 % (2 σ).
+/// Sizes under dead bands, from below the article's range to half of its largest: all cycles but a few are estimated, sizes ascend with the
+/// leak's, errors stay within a few per cent, and intervals hold the truth. 90 % of all widths are meant; of 64 machines a width they held 96, 92 and
+/// 86 %. The cycles of one machine err alike, so that these are 16 independent ones a size, 80 a width, and a share of
+/// them is good to 8 % (2 σ).
 #[test]
 fn sizes_are_right_whatever_dead_band_the_baseline_has() {
     let model = model();
     for deadband in [0.003, 0.01, 0.015] {
         let setting = Setting { deadband, ..SETTING };
         let baselines = baselines(&model, 16, setting);
-        let (mut covered, mut cycles, mut before_m2) = (0, 0, vec![0.0; baselines.len()]);
+        let (mut covered, mut rejected, mut cycles) = (0, 0, 0);
+        let mut before_m2 = vec![0.0; baselines.len()];
         for truth_m2 in [2e-8, 1e-7, 3e-7, 1e-6, 5e-6] {
-            let courses = later(&model, &baselines, truth_m2, 2, setting);
-            for (course, before_m2) in courses.iter().zip(&mut before_m2) {
-                assert_eq!(course.rejected, 0, "{deadband} {truth_m2}");
-                assert!(!course.estimates_m2.is_empty(), "{deadband} {truth_m2}");
-                let least_m2 = course.estimates_m2.iter().copied().fold(f64::INFINITY, f64::min);
-                assert!(least_m2 > *before_m2, "{deadband} {truth_m2}: {least_m2} after {before_m2}");
-                *before_m2 = course.estimates_m2.iter().copied().fold(0.0, f64::max);
-                (covered, cycles) = (covered + course.covered, cycles + course.cycles);
+            let mut errors = Vec::new();
+            for (course, before_m2) in
+                later(&model, &baselines, truth_m2, 2, setting).iter().zip(&mut before_m2)
+            {
+                (covered, rejected) = (covered + course.covered, rejected + course.rejected);
+                cycles += course.estimates_m2.len() + course.rejected;
+                for estimate_m2 in &course.estimates_m2 {
+                    assert!(
+                        estimate_m2 > before_m2,
+                        "{deadband} {truth_m2}: {estimate_m2} after {before_m2}"
+                    );
+                    errors.push((estimate_m2 / truth_m2 - 1.0).abs());
+                }
+                *before_m2 = course.estimates_m2.iter().copied().fold(*before_m2, f64::max);
             }
-            let error = median_error(&model, &baselines, truth_m2, setting);
+            errors.sort_by(f64::total_cmp);
+            let error = errors[errors.len() / 2];
+            println!("{deadband} {truth_m2:.0e}: median error {:.1} %", 100.0 * error);
             assert!(error < if truth_m2 < 1e-7 { 0.15 } else { 0.06 }, "{deadband} {truth_m2}: {error}");
         }
-        let share = covered as f64 / cycles as f64;
-        assert!(share > 0.83, "{deadband}: {share}");
+        let share = |of: usize| of as f64 / cycles as f64;
+        println!("{deadband}: {:.3} of {cycles} covered, {:.3} refused", share(covered), share(rejected));
+        assert!(share(covered) > 0.78 && share(rejected) < 0.03, "{deadband}: {covered} {rejected} {cycles}");
     }
 }
 

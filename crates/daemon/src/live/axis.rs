@@ -378,6 +378,7 @@ impl<'a> Desk<'a> {
                 leak_area_m2: estimate.map(|estimate| estimate.leak_area_m2),
                 interval90_m2: estimate.map(|estimate| estimate.interval90_m2),
                 leak_flow_lpm: estimate.map(|estimate| estimate.leak_flow_lpm),
+                lpm_per_m2: pipeline.config().flow_lpm(1.0),
                 loss: estimate.map(|estimate| pipeline.config().loss(estimate.leak_flow_lpm)),
                 time_to_leak_s: time_to_leak.map(|time| time.expected_s),
                 time_to_leak_range_s: time_to_leak.map(|time| [time.earliest_s, time.latest_s]),

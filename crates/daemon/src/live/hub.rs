@@ -47,6 +47,8 @@ pub struct AxisStatus {
     pub leak_flow_lpm: Option<f64>,
     /// Reference pressure difference, Pa.
     pub reference_dp_pa: f64,
+    /// Flow of 1 m² at that difference, L/min.
+    pub lpm_per_m2: f64,
     /// What it costs; its fields are absent where there is no estimate.
     #[serde(flatten)]
     pub loss: Option<Loss>,
@@ -93,6 +95,7 @@ impl AxisStatus {
             interval90_m2: None,
             leak_flow_lpm: None,
             reference_dp_pa,
+            lpm_per_m2: 0.0,
             loss: None,
             time_to_leak_s: None,
             time_to_leak_range_s: None,

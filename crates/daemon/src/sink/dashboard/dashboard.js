@@ -13,7 +13,7 @@ let live = [], cycles = [], trend = [];
 
 const color = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 const number = (value, digits = 3) => (value === null || value === undefined) ? "–" : Number(value).toPrecision(digits);
-const flowOf = (axis, area) => axis.leak_area_m2 ? area * axis.leak_flow_lpm / axis.leak_area_m2 : null;
+const flowOf = (axis, area) => area === null ? null : area * axis.lpm_per_m2;
 const told = (reason) => REASONS[reason] || (reason || "").replaceAll("_", " ");
 
 function rows(table, entries) {
@@ -274,20 +274,21 @@ function timeScale(points) {
 function drawTrend() {
   const canvas = byId("trend");
   if (!trend.length) return empty(canvas, "no estimate yet");
-  const flow = (point, area) => Math.max(area * point.leak_flow_lpm / point.leak_area_m2, 1e-3);
-  const usable = trend.filter((point) => point.leak_area_m2 > 0);
-  if (!usable.length) return empty(canvas, "no leak so far");
-  const { at, name } = timeScale(usable);
-  const low = Math.max(Math.min(...usable.map((point) => flow(point, point.interval90_m2[0]))), 0.005);
-  const high = Math.max(...usable.map((point) => flow(point, point.interval90_m2[1])), low * 3);
-  const picture = plane(canvas, [Math.min(at(usable[0], 0), -1e-3), 0], [low / 1.2, high * 1.2], true);
+  const axis = status?.axes.find((axis) => axis.axis === chosen);
+  if (!axis || !axis.lpm_per_m2) return;
+  const flow = (area) => Math.max(flowOf(axis, area), 1e-3);
+  const { at, name } = timeScale(trend);
+  const low = Math.max(Math.min(...trend.map((point) => flow(point.interval90_m2[0]))), 0.005);
+  const high = Math.max(...trend.map((point) => flow(point.interval90_m2[1])), low * 3);
+  const picture = plane(canvas, [Math.min(at(trend[0], 0), -1e-3), 0], [low / 1.2, high * 1.2], true);
   const clip = (value) => Math.max(value, low / 1.2);
   picture.pen.fillStyle = color("band");
   picture.pen.beginPath();
-  usable.forEach((point, index) => picture.pen.lineTo(picture.placeX(at(point, index)), picture.placeY(clip(flow(point, point.interval90_m2[1])))));
-  [...usable].reverse().forEach((point, index) => picture.pen.lineTo(picture.placeX(at(point, usable.length - 1 - index)), picture.placeY(clip(flow(point, point.interval90_m2[0])))));
+  const edge = (point, index, end) => picture.pen.lineTo(picture.placeX(at(point, index)), picture.placeY(clip(flow(point.interval90_m2[end]))));
+  trend.forEach((point, index) => edge(point, index, 1));
+  [...trend].reverse().forEach((point, index) => edge(point, trend.length - 1 - index, 0));
   picture.pen.fill();
-  picture.line(usable.map((point, index) => [at(point, index), clip(point.leak_flow_lpm)]), color("accent"), 2);
+  picture.line(trend.map((point, index) => [at(point, index), clip(point.leak_flow_lpm)]), color("accent"), 2);
   picture.pen.fillStyle = color("soft"); picture.pen.textAlign = "left"; picture.pen.textBaseline = "top";
   picture.pen.fillText(name + " before now", 52, 10);
 }
