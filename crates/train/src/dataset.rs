@@ -131,11 +131,13 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
             };
             let warm_up_s = observation.stretch * warm_up_from_s(&observation.spec);
             let start_tick = (warm_up_s / observation.spec.controller.period_s) as u64;
+            // Of a cycle of few ticks the lead may be most.
+            let start_tick = start_tick.min(period_ticks.saturating_sub(lead));
             Job {
                 spec: observation.spec.clone(),
                 turns: vec![turn],
                 start_tick,
-                skip_ticks: period_ticks - start_tick - lead,
+                skip_ticks: period_ticks.saturating_sub(start_tick + lead),
                 record_ticks: lead + period_ticks + period_ticks / 10,
             }
         })
@@ -245,6 +247,22 @@ mod tests {
                 let bound = 5e-6_f64.max(1e-3 * long.abs());
                 assert!((short - long).abs() < bound, "{observation:?} {from}: {short} {long}");
             }
+        }
+    }
+
+    #[test]
+    fn cycle_of_few_ticks_is_simulated() {
+        for period_s in [0.03, 0.1, 0.15] {
+            let mut spec = MachineSpec::default();
+            spec.cycle.period_s = period_s;
+            for (index, stroke) in spec.cycle.moves.iter_mut().enumerate() {
+                (stroke.from_s, stroke.to_s) =
+                    (0.3 * index as f64 * period_s, (0.3 * index as f64 + 0.2) * period_s);
+            }
+            spec.cycle.load.clear();
+            let one = Observation { spec, load_factor: 1.0, stretch: 1.0, leak_area_m2: 0.0, stream: 49 };
+            let ticks = simulate(&[one], |_, commands| commands.len())[0] as f64;
+            assert!(ticks > 1e3 * period_s && ticks < 3e3 * period_s + 100.0, "{period_s}: {ticks}");
         }
     }
 }
