@@ -19,7 +19,7 @@ pub struct Job {
     pub spec: MachineSpec,
     /// Its turns; see [`Schedule::new`].
     pub turns: Vec<Turn>,
-    /// Tick of the first turn at which the machine stands at rest and the run begins.
+    /// Tick of the first turn at which the run begins: the machine stands at rest there, under the load of the turn.
     pub start_tick: u64,
     /// How many ticks to run without recording.
     pub skip_ticks: u64,

@@ -42,15 +42,20 @@ fn jobs(count: usize) -> Vec<Job> {
                 },
                 Turn { pause_s: 0.1, ..Turn::with_leak(1e-6) },
             ];
-            Job { spec, turns, start_tick: 0, skip_ticks: 0, record_ticks: TICKS }
+            // Some begin in the middle of their cycle.
+            let start_tick = 500 * (index as u64 % 3);
+            Job { spec, turns, start_tick, skip_ticks: 0, record_ticks: TICKS }
         })
         .collect()
 }
 
 fn scalar(job: &Job) -> Vec<f64> {
     let machine = Machine::<f64>::new(&[&job.spec]);
-    let mut state = machine.start();
-    Schedule::new(&job.spec.cycle, job.spec.controller.period_s, job.turns.clone())
+    let mut drive = Schedule::new(&job.spec.cycle, job.spec.controller.period_s, job.turns.clone())
+        .starting_at(job.start_tick)
+        .peekable();
+    let mut state = machine.start_at(&Input::gather(&[*drive.peek().unwrap()]));
+    drive
         .take(TICKS as usize)
         .map(|instant| machine.tick(&mut state, &Input::gather(&[instant])).command)
         .collect()
