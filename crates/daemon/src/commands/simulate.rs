@@ -2,11 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::BufWriter;
+use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use mcap::McapError;
 use seepd_sim::cycle::Turn;
 use seepd_sim::electric::ElectricAxis;
 use seepd_sim::noise::Noise;
@@ -310,7 +309,7 @@ pub fn write_log(
     spec: &MachineSpec,
     turns: &[Turn],
 ) -> Result<(), Failure> {
-    let writing = |error: McapError| Failure::writing(path, error);
+    let writing = |error: io::Error| Failure::writing(path, error);
     let file = File::create(path).map_err(|error| Failure::writing(path, error))?;
     let mut sink = McapSink::new(BufWriter::new(file), arguments.compression).map_err(writing)?;
     let prefix = &arguments.topic_prefix;
@@ -380,9 +379,9 @@ pub(super) fn write_message(
     time_ns: i64,
     line: &mut Vec<u8>,
     message: &impl Serialize,
-) -> Result<(), McapError> {
+) -> io::Result<()> {
     line.clear();
-    serde_json::to_writer(&mut *line, message).map_err(|error| McapError::Io(error.into()))?;
+    serde_json::to_writer(&mut *line, message)?;
     sink.write(channel, time_ns, line)
 }
 
@@ -391,8 +390,8 @@ fn write_provenance(
     sink: &mut McapSink<BufWriter<File>>,
     arguments: &SimulateArguments,
     spec: &MachineSpec,
-) -> Result<(), McapError> {
-    let plant = spec.to_toml().map_err(|error| McapError::Io(std::io::Error::other(error.to_string())))?;
+) -> io::Result<()> {
+    let plant = spec.to_toml().map_err(|error| io::Error::other(error.to_string()))?;
     let facts = BTreeMap::from([
         ("software".to_owned(), concat!("seepd ", env!("CARGO_PKG_VERSION")).to_owned()),
         ("seed".to_owned(), arguments.seed.to_string()),

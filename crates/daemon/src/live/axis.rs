@@ -108,8 +108,10 @@ struct Desk<'a> {
     latch: Latch,
     /// Baselines on disk, one record a duty cycle.
     records: Vec<Record>,
-    /// A baseline has just been learned.
+    /// A baseline has been learned and is not on disk yet.
     learned: bool,
+    /// Why it is not; told once.
+    unsaved: Option<String>,
     /// Index of the last cycle's duty cycle.
     duty_cycle: usize,
     time_to_leak: Option<TimeTo>,
@@ -147,6 +149,7 @@ impl<'a> Desk<'a> {
             latch: Latch::default(),
             records: pipeline.monitors().iter().enumerate().map(record).collect(),
             learned: false,
+            unsaved: None,
             duty_cycle: 0,
             time_to_leak: None,
             points: Points::new(cycle_points as usize),
@@ -310,19 +313,23 @@ impl<'a> Desk<'a> {
         self.keep(pipeline);
     }
 
-    /// Keeps a baseline that has just been learned.
+    /// Keeps a baseline that has been learned; one that the disk does not take is tried again after each cycle.
     fn keep_baseline(&mut self, pipeline: &Pipeline<'_>) {
-        if !std::mem::take(&mut self.learned) {
+        if !self.learned {
             return;
         }
-        for (record, monitor) in self.records.iter_mut().zip(pipeline.monitors()) {
-            if let Err(error) = record.keep(monitor) {
-                tracing::error!(
-                    axis = self.config.axis,
-                    "the baseline cannot be kept: {error}; it counts until the next start, and another is learned then"
-                );
+        let mut records = self.records.iter_mut().zip(pipeline.monitors());
+        let kept = records.try_for_each(|(record, monitor)| record.keep(monitor));
+        self.learned = kept.is_err();
+        let unsaved = kept.err().map(|error| format!("the baseline cannot be kept: {error}"));
+        if unsaved != self.unsaved {
+            let axis = &self.config.axis;
+            match &unsaved {
+                Some(complaint) => tracing::error!(axis, "{complaint}; tried again after each cycle"),
+                None => tracing::info!(axis, "the baseline is kept now"),
             }
         }
+        self.unsaved = unsaved;
     }
 
     fn keep(&self, pipeline: &Pipeline<'_>) {

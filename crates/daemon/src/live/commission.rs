@@ -20,6 +20,8 @@ pub struct Record {
     learn_cycles: usize,
     /// Whether a new baseline is being learned in the place of an older one.
     renewing: bool,
+    /// Whether a baseline has been learned that is not on disk.
+    unsaved: bool,
 }
 
 impl Record {
@@ -45,7 +47,7 @@ impl Record {
             read.inspect_err(|failure| tracing::error!(axis = config.axis, "{}", failure.message)).ok()
         });
         let file = file.unwrap_or_else(|| BaselineFile::new(&config.axis, model));
-        Record { path, file, learn_cycles: config.baseline.learn_cycles, renewing: false }
+        Record { path, file, learn_cycles: config.baseline.learn_cycles, renewing: false, unsaved: false }
     }
 
     /// Whether a new baseline is being learned in the place of an older one.
@@ -73,19 +75,20 @@ impl Record {
         self.renewing = true;
     }
 
-    /// Keeps the monitor's baseline, if it is a new one. It is on disk when this returns, before the state may say that there is nothing
-    /// to learn any more; a seal is replaced rarely enough to wait for the disk.
+    /// Keeps the monitor's baseline, if it is a new one or none could be written before. It is on disk when this returns, before the
+    /// state may say that there is nothing to learn any more; a seal is replaced rarely enough to wait for the disk.
     ///
     /// # Errors
     /// Writing failed; it counts until the daemon ends.
     pub fn keep(&mut self, monitor: &Monitor<'_>) -> io::Result<()> {
-        let Some(baseline) = monitor.baseline().filter(|baseline| self.file.newest() != Some(baseline))
-        else {
-            return Ok(());
-        };
-        self.file.baselines.push(baseline.clone());
-        write_durably(&self.path, self.file.to_json()?.as_bytes())?;
-        self.renewing = false;
+        if let Some(baseline) = monitor.baseline().filter(|baseline| self.file.newest() != Some(baseline)) {
+            self.file.baselines.push(baseline.clone());
+            self.unsaved = true;
+        }
+        if self.unsaved {
+            write_durably(&self.path, self.file.to_json()?.as_bytes())?;
+            (self.unsaved, self.renewing) = (false, false);
+        }
         Ok(())
     }
 }

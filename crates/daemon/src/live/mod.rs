@@ -14,6 +14,7 @@ pub mod systemd;
 
 use std::fs;
 use std::hash::{BuildHasher, RandomState};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -45,6 +46,10 @@ const ENDING: Duration = Duration::from_millis(1200);
 const RETRY_PORT: Duration = Duration::from_secs(3);
 /// The trends, which are for people, are written this often.
 const TREND_EVERY: Duration = Duration::from_secs(600);
+/// What the disk did not take is tried again this often.
+const RETRY_DISK: Duration = Duration::from_secs(10);
+/// The state's name among the sinks.
+const STATE_SINK: &str = "state";
 /// The main loop looks for ended axes this often.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -157,6 +162,8 @@ struct Daemon {
     hub: Arc<Hub>,
     keeper: Keeper,
     state_folder: PathBuf,
+    /// Why the state is not on disk; told once.
+    unsaved: Option<String>,
     axes: Vec<RunningAxis>,
     sinks: Vec<RunningSink>,
     recorder: watch::Sender<Option<Recorder>>,
@@ -181,6 +188,7 @@ impl Daemon {
             keeper: Keeper::open(&state_folder)?,
             trends: read_trends(&state_folder),
             state_folder,
+            unsaved: None,
             axes: Vec::new(),
             sinks: Vec::new(),
             recorder: watch::Sender::new(None),
@@ -310,6 +318,8 @@ impl Daemon {
         let watch_every = self.watchdog.every.unwrap_or(LOOK);
         let mut trend = tokio::time::interval(TREND_EVERY);
         trend.tick().await;
+        let mut retry = tokio::time::interval(RETRY_DISK);
+        retry.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         let mut watch = tokio::time::interval(watch_every.min(LOOK * 5));
         watch.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         let result = loop {
@@ -319,6 +329,7 @@ impl Daemon {
                 _ = reload.recv() => self.reload(path).await,
                 Some(event) = events.recv() => self.record(&event),
                 _ = kept.changed() => self.write_state().await,
+                _ = retry.tick(), if self.unsaved.is_some() => self.write_state().await,
                 _ = trend.tick() => self.write_trends().await,
                 _ = watch.tick() => {
                     if self.watchdog.every.is_some() {
@@ -353,12 +364,30 @@ impl Daemon {
         result
     }
 
-    async fn write_state(&self) {
+    async fn write_state(&mut self) {
         let (keeper, folder) = (self.keeper.clone(), self.state_folder.clone());
         let written = tokio::task::spawn_blocking(move || keeper.write(&folder)).await;
-        if let Ok(Err(error)) = written {
-            tracing::error!("the state in {} cannot be written: {error}", self.state_folder.display());
+        self.heed_written(written.unwrap_or_else(|error| Err(io::Error::other(error))));
+    }
+
+    /// Tells once that the state cannot be written, and once that it can be again.
+    fn heed_written(&mut self, written: io::Result<()>) {
+        let folder = self.state_folder.display().to_string();
+        let unsaved = written.err().map(|error| format!("the state in {folder} cannot be written: {error}"));
+        if unsaved != self.unsaved {
+            match &unsaved {
+                Some(complaint) => {
+                    tracing::error!("{complaint}; tried again every {} s", RETRY_DISK.as_secs());
+                }
+                None => tracing::info!("the state in {folder} is written again"),
+            }
         }
+        self.hub.update_sink(STATE_SINK, |sink| {
+            (sink.good, sink.waiting) = (unsaved.is_none(), u64::from(unsaved.is_some()));
+            sink.sent += u64::from(unsaved.is_none());
+            sink.detail = unsaved.clone().unwrap_or(folder);
+        });
+        self.unsaved = unsaved;
     }
 
     async fn write_trends(&self) {

@@ -198,11 +198,22 @@ pub fn write_trends(folder: &Path, axes: Trends) -> io::Result<()> {
 /// Writing failed; the old one is untouched.
 pub fn write_durably(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let new = path.with_extension("new");
-    let mut file = File::create(&new)?;
-    file.write_all(bytes)?;
-    file.sync_all()?;
-    fs::rename(&new, path)?;
+    write_new(&new, bytes).and_then(|()| fs::rename(&new, path)).inspect_err(|_| {
+        // Half a file would take room that the next try needs.
+        let _ = fs::remove_file(&new);
+    })?;
     sync_folder(path)
+}
+
+/// Writes a file that only this program has made: neither one that a cut has left nor a link that somebody has put there.
+fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    let mut file = File::create_new(path)?;
+    file.write_all(bytes)?;
+    file.sync_all()
 }
 
 /// Makes a folder's entries durable.

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io::{Seek, Write};
+use std::io::{self, Seek, Write};
 
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
@@ -27,6 +27,14 @@ pub enum ChunkCompression {
     None,
 }
 
+/// What the system said: the library's own text is "I/O error" and no more.
+fn plainly(error: McapError) -> io::Error {
+    match error {
+        McapError::Io(error) => error,
+        other => io::Error::other(other),
+    }
+}
+
 /// Writes messages to channels.
 pub struct McapSink<W: Write + Seek> {
     writer: Writer<W>,
@@ -38,7 +46,7 @@ impl<W: Write + Seek> McapSink<W> {
     ///
     /// # Errors
     /// Writing failed.
-    pub fn new(out: W, compression: ChunkCompression) -> Result<Self, McapError> {
+    pub fn new(out: W, compression: ChunkCompression) -> io::Result<Self> {
         let compression = match compression {
             ChunkCompression::Zstd => Some(Compression::Zstd),
             ChunkCompression::Lz4 => Some(Compression::Lz4),
@@ -49,7 +57,7 @@ impl<W: Write + Seek> McapSink<W> {
             .library(LIBRARY)
             .compression(compression)
             .chunk_size(Some(CHUNK_BYTES));
-        Ok(McapSink { writer: options.create(out)?, sequence: BTreeMap::new() })
+        Ok(McapSink { writer: options.create(out).map_err(plainly)?, sequence: BTreeMap::new() })
     }
 
     /// Begins a file that may be cut short at any moment: whole chunks, which [`flush`](Self::flush) closes.
@@ -57,14 +65,14 @@ impl<W: Write + Seek> McapSink<W> {
     /// # Errors
     /// Writing failed.
     #[cfg(feature = "live")]
-    pub fn new_for_recording(out: W) -> Result<Self, McapError> {
+    pub fn new_for_recording(out: W) -> io::Result<Self> {
         let options = WriteOptions::new()
             .profile("")
             .library(LIBRARY)
             .compression(Some(Compression::Lz4))
             .disable_seeking(true)
             .chunk_size(Some(CHUNK_BYTES));
-        Ok(McapSink { writer: options.create(out)?, sequence: BTreeMap::new() })
+        Ok(McapSink { writer: options.create(out).map_err(plainly)?, sequence: BTreeMap::new() })
     }
 
     /// Closes the open chunk and hands it to the system.
@@ -72,59 +80,60 @@ impl<W: Write + Seek> McapSink<W> {
     /// # Errors
     /// Writing failed.
     #[cfg(feature = "live")]
-    pub fn flush(&mut self) -> Result<(), McapError> {
-        self.writer.flush()
+    pub fn flush(&mut self) -> io::Result<()> {
+        self.writer.flush().map_err(plainly)
     }
 
     /// Adds a channel of JSON messages; the schema is a JSON schema.
     ///
     /// # Errors
     /// Writing failed.
-    pub fn add_channel(&mut self, topic: &str, schema_name: &str, schema: &str) -> Result<u16, McapError> {
-        let schema = self.writer.add_schema(schema_name, "jsonschema", schema.as_bytes())?;
-        self.writer.add_channel(schema, topic, "json", &BTreeMap::new())
+    pub fn add_channel(&mut self, topic: &str, schema_name: &str, schema: &str) -> io::Result<u16> {
+        let schema = self.writer.add_schema(schema_name, "jsonschema", schema.as_bytes()).map_err(plainly)?;
+        self.writer.add_channel(schema, topic, "json", &BTreeMap::new()).map_err(plainly)
     }
 
     /// Writes a message.
     ///
     /// # Errors
     /// Writing failed.
-    pub fn write(&mut self, channel_id: u16, time_ns: i64, json: &[u8]) -> Result<(), McapError> {
+    pub fn write(&mut self, channel_id: u16, time_ns: i64, json: &[u8]) -> io::Result<()> {
         let time = time_ns.max(0) as u64;
         let sequence = self.sequence.entry(channel_id).or_default();
         *sequence += 1;
         let header = MessageHeader { channel_id, sequence: *sequence, log_time: time, publish_time: time };
-        self.writer.write_to_known_channel(&header, json)
+        self.writer.write_to_known_channel(&header, json).map_err(plainly)
     }
 
     /// Adds facts about the file.
     ///
     /// # Errors
     /// Writing failed.
-    pub fn write_metadata(&mut self, name: &str, facts: BTreeMap<String, String>) -> Result<(), McapError> {
-        self.writer.write_metadata(&Metadata { name: name.into(), metadata: facts })
+    pub fn write_metadata(&mut self, name: &str, facts: BTreeMap<String, String>) -> io::Result<()> {
+        self.writer.write_metadata(&Metadata { name: name.into(), metadata: facts }).map_err(plainly)
     }
 
     /// Adds a file within the file.
     ///
     /// # Errors
     /// Writing failed.
-    pub fn attach(&mut self, name: &str, media_type: &str, content: &[u8]) -> Result<(), McapError> {
-        self.writer.attach(&Attachment {
+    pub fn attach(&mut self, name: &str, media_type: &str, content: &[u8]) -> io::Result<()> {
+        let attachment = Attachment {
             log_time: 0,
             create_time: 0,
             name: name.into(),
             media_type: media_type.into(),
             data: Cow::Borrowed(content),
-        })
+        };
+        self.writer.attach(&attachment).map_err(plainly)
     }
 
-    /// Writes index and footer.
+    /// Writes index and footer; nothing can be written after that.
     ///
     /// # Errors
     /// Writing failed.
-    pub fn finish(mut self) -> Result<(), McapError> {
-        self.writer.finish().map(|_| ())
+    pub fn finish(&mut self) -> io::Result<()> {
+        self.writer.finish().map(drop).map_err(plainly)
     }
 }
 
@@ -159,7 +168,7 @@ impl<W: Write + Seek> EventSink<W> {
     ///
     /// # Errors
     /// Writing failed.
-    pub fn new(out: W) -> Result<Self, McapError> {
+    pub fn new(out: W) -> io::Result<Self> {
         let mut sink = McapSink::new(out, ChunkCompression::default())?;
         let leakage = sink.add_channel("/axis/leakage", "seepd.cycle/1", schema::CYCLE)?;
         let flags = sink.add_channel("/axis/flags", "seepd.event/1", schema::EVENT)?;
@@ -171,7 +180,7 @@ impl<W: Write + Seek> EventSink<W> {
     ///
     /// # Errors
     /// Writing failed.
-    pub fn write_event(&mut self, event: &Event<'_>) -> Result<(), McapError> {
+    pub fn write_event(&mut self, event: &Event<'_>) -> io::Result<()> {
         self.line.clear();
         let (channel, time_ns, result) = match event {
             Event::Cycle(line) => {
@@ -182,7 +191,7 @@ impl<W: Write + Seek> EventSink<W> {
                 (self.notices, notice.t_ns, serde_json::to_writer(&mut self.line, notice))
             }
         };
-        result.map_err(|error| McapError::Io(error.into()))?;
+        result?;
         self.sink.write(channel, time_ns, &self.line)
     }
 
@@ -190,7 +199,7 @@ impl<W: Write + Seek> EventSink<W> {
     ///
     /// # Errors
     /// Writing failed.
-    pub fn finish(self) -> Result<(), McapError> {
+    pub fn finish(mut self) -> io::Result<()> {
         self.sink.finish()
     }
 }

@@ -2,7 +2,10 @@
 //!
 //! A thread of its own writes them, so that a slow disk holds up nothing. Every second the open chunk is closed and the
 //! file made durable: a power cut costs at most that second. Times are those of the daemon's line, which a replay reads as
-//! they are: it gives the same estimates, byte by byte.
+//! they are: it gives the same estimates, byte by byte. Where nothing can be written, what comes is counted as dropped, and
+//! the recording tries again now and then.
+
+mod shelf;
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -12,15 +15,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, UNIX_EPOCH};
+use std::time::Duration;
 
 use seepd_signals::{Sample, Signal};
 
 use super::mcap::{McapSink, schema};
 use crate::config::{Pace, RecordingConfig};
 use crate::failure::Failure;
-use crate::live::clock;
 use crate::live::hub::{Hub, Kind, Publication};
+use shelf::{MB, Shelf};
 
 /// Samples on their way to the thread.
 const SAMPLES_UNDER_WAY: usize = 4096;
@@ -32,8 +35,6 @@ const LOOK: Duration = Duration::from_millis(50);
 const LOOKS_PER_SYNC: u32 = 16;
 /// The file's size is looked at after so many records.
 const RECORDS_PER_SIZE: u64 = 4096;
-/// Bytes in an MB.
-const MB: f64 = 1e6;
 /// Wait after a failed write, in looks.
 const LOOKS_AFTER_FAILURE: u32 = 200;
 /// The recording's name among the sinks.
@@ -107,12 +108,13 @@ pub fn start(
     let lost = Arc::new(AtomicU64::new(0));
     let recorder = Recorder { samples, events, axes: Arc::clone(&axes), lost: Arc::clone(&lost) };
     let tape = Tape {
-        config: config.clone(),
-        folder: folder.to_owned(),
+        shelf: Shelf { folder: folder.to_owned(), config: config.clone() },
         axes,
         hub,
         lost,
         file: None,
+        pause: 0,
+        complaint: None,
         sent: 0,
         thrown_away: 0,
     };
@@ -122,12 +124,16 @@ pub fn start(
 }
 
 struct Tape {
-    config: RecordingConfig,
-    folder: PathBuf,
+    shelf: Shelf,
     axes: Arc<[String]>,
     hub: Arc<Hub>,
     lost: Arc<AtomicU64>,
     file: Option<TapeFile>,
+    /// Looks until the next try, after a failed one.
+    pause: u32,
+    /// Why nothing can be written; told once.
+    complaint: Option<String>,
+    /// Records that are on disk.
     sent: u64,
     /// Records that came while nothing could be written.
     thrown_away: u64,
@@ -135,32 +141,24 @@ struct Tape {
 
 impl Tape {
     fn run(mut self, inbox: &Inbox) {
-        let (mut looks, mut pause) = (0u32, 0u32);
-        loop {
-            let stop = self.drain(inbox, &mut pause);
-            looks += 1;
-            if stop {
-                if let Some(file) = self.file.take()
-                    && let Err(error) = file.finish()
-                {
-                    self.complain(&error);
-                }
-                return;
+        let mut looks = 0u32;
+        while !self.drain(inbox) {
+            looks = looks.wrapping_add(1);
+            if looks.is_multiple_of(LOOKS_PER_SYNC) {
+                let synced = self.sync_and_rotate();
+                self.heed(synced);
+                self.tell();
             }
-            if looks.is_multiple_of(LOOKS_PER_SYNC)
-                && let Err(error) = self.sync_and_rotate()
-            {
-                self.complain(&error);
-                self.file = None;
-                pause = LOOKS_AFTER_FAILURE;
-            }
-            pause = pause.saturating_sub(1);
+            self.pause = self.pause.saturating_sub(1);
             thread::sleep(LOOK);
         }
+        let closed = self.close();
+        self.heed(closed);
+        self.tell();
     }
 
     /// Writes what has come; `true` where it was the end.
-    fn drain(&mut self, inbox: &Inbox, pause: &mut u32) -> bool {
+    fn drain(&mut self, inbox: &Inbox) -> bool {
         let mut ending = false;
         loop {
             let record = match inbox.events.try_recv() {
@@ -175,105 +173,106 @@ impl Tape {
                     }
                 },
             };
-            if *pause > 0 {
+            if self.pause > 0 {
                 self.thrown_away += 1;
                 continue;
             }
-            let written = self.write(&record).and_then(|()| {
-                // A log that is read as fast as can be fills files between two looks.
-                if self.sent.is_multiple_of(RECORDS_PER_SIZE) { self.rotate() } else { Ok(()) }
-            });
-            match written {
-                Ok(()) => self.sent += 1,
-                Err(error) => {
-                    self.complain(&error);
-                    self.file = None;
-                    self.thrown_away += 1;
-                    *pause = LOOKS_AFTER_FAILURE;
-                }
-            }
+            let written = self.write(&record);
+            self.thrown_away += u64::from(written.is_err());
+            // A log that is read as fast as can be fills files between two looks.
+            let rotated = written.and_then(|full| if full { self.rotate() } else { Ok(()) });
+            self.heed(rotated);
         }
     }
 
-    fn write(&mut self, record: &Record) -> io::Result<()> {
+    /// Writes a record; `true` where it is time to look at the file's size.
+    fn write(&mut self, record: &Record) -> io::Result<bool> {
         let time_ns = match record {
             Record::Sample(_, sample) => sample.time_ns,
             Record::Event(event) => event.t_ns,
         };
-        if self.file.is_none() {
-            fs::create_dir_all(&self.folder)?;
-            self.make_room()?;
-            self.file = Some(TapeFile::create(&self.folder, time_ns)?);
-        }
-        let Some(file) = &mut self.file else { return Ok(()) };
+        let file = match &mut self.file {
+            Some(file) => file,
+            none => none.insert(TapeFile::create(&self.shelf, time_ns)?),
+        };
         match record {
             Record::Sample(axis, sample) => {
                 let name = self.axes.get(usize::from(*axis)).map_or("axis", String::as_str);
-                file.write_sample(name, sample)
+                file.write_sample(name, sample)?;
             }
-            Record::Event(event) => file.write_event(event),
+            Record::Event(event) => file.write_event(event)?,
         }
+        file.buffered += 1;
+        Ok(file.buffered.is_multiple_of(RECORDS_PER_SIZE))
     }
 
-    /// Makes the file durable, tells of it, and closes it where it is full or old.
+    /// Makes the file durable, and closes it where it is full or old.
     fn sync_and_rotate(&mut self) -> io::Result<()> {
-        let (lost, thrown_away, sent) = (self.lost.load(Ordering::Relaxed), self.thrown_away, self.sent);
         let Some(file) = &mut self.file else { return Ok(()) };
         file.sync()?;
-        let bytes = file.bytes()?;
-        let detail = format!("{} ({:.1} MB)", file.path.display(), bytes as f64 / MB);
-        self.hub.update_sink(SINK, |status| {
-            status.good = true;
-            (status.detail, status.sent, status.dropped) = (detail, sent, lost + thrown_away);
-        });
+        self.sent += std::mem::take(&mut file.buffered);
+        if self.complaint.take().is_some() {
+            let folder = self.shelf.folder.display();
+            tracing::info!(
+                "the recording in {folder} goes on; {} records were dropped so far",
+                self.dropped()
+            );
+        }
         self.rotate()
     }
 
+    /// Closes the file where it is full or old, or the disk is.
     fn rotate(&mut self) -> io::Result<()> {
         let Some(file) = &self.file else { return Ok(()) };
         let age_min = file.newest_ns.saturating_sub(file.begin_ns) as f64 / 60e9;
-        if file.bytes()? as f64 >= self.config.file_mb * MB || age_min >= self.config.file_min {
-            if let Some(file) = self.file.take() {
-                file.finish()?;
-            }
-            self.make_room()?;
+        if file.bytes()? >= file.most_bytes
+            || age_min >= self.shelf.config.file_min
+            || self.shelf.is_short()?
+        {
+            self.close()?;
+            self.shelf.make_room()?;
         }
         Ok(())
     }
 
-    fn complain(&self, error: &io::Error) {
-        tracing::error!("recording into {}: {error}", self.folder.display());
-        let detail = format!("writing into {}: {error}", self.folder.display());
-        self.hub.update_sink(SINK, |status| (status.good, status.detail) = (false, detail));
+    fn close(&mut self) -> io::Result<()> {
+        let Some(file) = &mut self.file else { return Ok(()) };
+        file.finish()?;
+        self.sent += file.buffered;
+        self.file = None;
+        Ok(())
     }
 
-    /// Removes the oldest files until all fit, with one more of full size, and none is too old.
-    fn make_room(&self) -> io::Result<()> {
-        let mut files: Vec<(PathBuf, u64, i64)> = Vec::new();
-        for entry in fs::read_dir(&self.folder)? {
-            let entry = entry?;
-            let name = entry.file_name();
-            let ours =
-                name.to_str().is_some_and(|name| name.starts_with("seepd-") && name.ends_with(".mcap"));
-            if ours {
-                let facts = entry.metadata()?;
-                let changed = facts.modified()?.duration_since(UNIX_EPOCH).unwrap_or_default();
-                files.push((entry.path(), facts.len(), changed.as_secs() as i64));
-            }
+    /// Gives the file up after a failure, for a while.
+    fn heed(&mut self, result: io::Result<()>) {
+        let Err(error) = result else { return };
+        if let Some(file) = self.file.take() {
+            self.thrown_away += file.buffered;
+            file.give_up();
         }
-        files.sort_by(|a, b| (a.2, &a.0).cmp(&(b.2, &b.0)));
-        let now_s = clock::wall_ns().map(|ns| ns / 1_000_000_000);
-        let keep_s = (self.config.keep_days * 86_400.0) as i64;
-        let mut total: u64 = files.iter().map(|file| file.1).sum();
-        for (path, bytes, changed_s) in files {
-            let too_old = keep_s > 0 && now_s.is_some_and(|now| now - changed_s > keep_s);
-            let too_much = total as f64 + self.config.file_mb * MB > self.config.total_mb * MB;
-            if too_old || too_much {
-                fs::remove_file(&path)?;
-                total = total.saturating_sub(bytes);
-            }
+        self.pause = LOOKS_AFTER_FAILURE;
+        let complaint = format!("recording into {}: {error}", self.shelf.folder.display());
+        if self.complaint.as_ref() != Some(&complaint) {
+            tracing::error!("{complaint}; tried again every {} s", (LOOK * LOOKS_AFTER_FAILURE).as_secs());
+            self.complaint = Some(complaint);
         }
-        Ok(())
+    }
+
+    fn dropped(&self) -> u64 {
+        self.lost.load(Ordering::Relaxed) + self.thrown_away
+    }
+
+    fn tell(&self) {
+        let detail = match (&self.complaint, &self.file) {
+            (Some(complaint), _) => Some(complaint.clone()),
+            (None, Some(file)) => Some(file.describe()),
+            (None, None) => None,
+        };
+        self.hub.update_sink(SINK, |status| {
+            status.good = self.complaint.is_none();
+            (status.sent, status.dropped) = (self.sent, self.dropped());
+            status.detail = detail.unwrap_or_else(|| std::mem::take(&mut status.detail));
+        });
     }
 }
 
@@ -286,39 +285,33 @@ struct TapeFile {
     line: Vec<u8>,
     begin_ns: i64,
     newest_ns: i64,
+    /// The file is closed at this size.
+    most_bytes: u64,
+    /// Records that are not on disk yet.
+    buffered: u64,
+    /// Whether records of it are on disk.
+    holds_records: bool,
 }
 
 impl TapeFile {
-    fn create(folder: &Path, time_ns: i64) -> io::Result<Self> {
-        let stamp = jiff::Timestamp::from_nanosecond(i128::from(time_ns)).unwrap_or_default();
-        let stamp = stamp.strftime("%Y%m%dT%H%M%SZ").to_string();
-        let named = |number: u32| match number {
-            0 => folder.join(format!("seepd-{stamp}.mcap")),
-            _ => folder.join(format!("seepd-{stamp}-{number:03}.mcap")),
-        };
-        // After a start without a valid clock the same times come again.
-        for number in 0..1000 {
-            let path = named(number);
-            match File::create_new(&path) {
-                Ok(handle) => {
-                    let sink = McapSink::new_for_recording(BufWriter::new(handle.try_clone()?));
-                    let sink = sink.map_err(io::Error::other)?;
-                    crate::live::state::sync_folder(&path)?;
-                    return Ok(TapeFile {
-                        path,
-                        handle,
-                        sink,
-                        channels: BTreeMap::new(),
-                        line: Vec::with_capacity(512),
-                        begin_ns: time_ns,
-                        newest_ns: time_ns,
-                    });
-                }
-                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
-                Err(error) => return Err(error),
-            }
-        }
-        Err(io::Error::other(format!("there are a thousand files of {stamp} already")))
+    fn create(shelf: &Shelf, time_ns: i64) -> io::Result<Self> {
+        fs::create_dir_all(&shelf.folder)?;
+        let most_bytes = shelf.make_room()?;
+        let (path, handle) = shelf.create(time_ns)?;
+        let begun = handle.try_clone().and_then(|file| McapSink::new_for_recording(BufWriter::new(file)));
+        let sink = begun.inspect_err(|_| remove_unused(&path))?;
+        Ok(TapeFile {
+            path,
+            handle,
+            sink,
+            channels: BTreeMap::new(),
+            line: Vec::with_capacity(512),
+            begin_ns: time_ns,
+            newest_ns: time_ns,
+            most_bytes,
+            buffered: 0,
+            holds_records: false,
+        })
     }
 
     fn channel(&mut self, axis: &str, topic: &'static str, name: &str, schema: &str) -> io::Result<u16> {
@@ -327,8 +320,7 @@ impl TapeFile {
         {
             return Ok(*channel);
         }
-        let channel =
-            self.sink.add_channel(&format!("/{axis}/{topic}"), name, schema).map_err(io::Error::other)?;
+        let channel = self.sink.add_channel(&format!("/{axis}/{topic}"), name, schema)?;
         self.channels.insert((axis.to_owned(), topic), channel);
         Ok(channel)
     }
@@ -338,7 +330,7 @@ impl TapeFile {
         self.line.clear();
         write_signals(&mut self.line, sample)?;
         self.newest_ns = self.newest_ns.max(sample.time_ns);
-        self.sink.write(channel, sample.time_ns, &self.line).map_err(io::Error::other)
+        self.sink.write(channel, sample.time_ns, &self.line)
     }
 
     fn write_event(&mut self, event: &Publication) -> io::Result<()> {
@@ -350,22 +342,43 @@ impl TapeFile {
             Kind::Test => ("test", "seepd.test/1", schema::ANY),
         };
         let channel = self.channel(&event.axis, topic, name, schema)?;
-        self.sink.write(channel, event.t_ns, event.event_json.as_bytes()).map_err(io::Error::other)
+        self.sink.write(channel, event.t_ns, event.event_json.as_bytes())
     }
 
     fn sync(&mut self) -> io::Result<()> {
-        self.sink.flush().map_err(io::Error::other)?;
-        self.handle.sync_data()
+        self.sink.flush()?;
+        self.handle.sync_data()?;
+        self.holds_records |= self.buffered > 0;
+        Ok(())
     }
 
     fn bytes(&self) -> io::Result<u64> {
         Ok(self.handle.metadata()?.len())
     }
 
-    fn finish(self) -> io::Result<()> {
-        self.sink.finish().map_err(io::Error::other)?;
+    fn describe(&self) -> String {
+        let megabytes = self.bytes().unwrap_or_default() as f64 / MB;
+        format!("{} ({megabytes:.1} MB)", self.path.display())
+    }
+
+    fn finish(&mut self) -> io::Result<()> {
+        self.sink.finish()?;
         self.handle.sync_all()
     }
+
+    /// Leaves what is on disk, which can be read up to there; a file without a record goes.
+    fn give_up(self) {
+        let TapeFile { path, sink, holds_records, .. } = self;
+        drop(sink); // which writes as much of its end as it can
+        if !holds_records {
+            remove_unused(&path);
+        }
+    }
+}
+
+/// Removes a file in which there is nothing. Where even that fails, the next one is told of anyway.
+fn remove_unused(path: &Path) {
+    let _ = fs::remove_file(path);
 }
 
 /// A sample's signals as one JSON object; what is no number is written as the reader takes it.
