@@ -265,10 +265,22 @@ impl<'m> CycleReader<'m> {
         &self.definition
     }
 
-    /// Samples that a cycle's first or last hold may lack, 20 ms: a log that begins or ends with a cycle may miss it
-    /// by a few. More is a cycle that began before the stretch did, or ends after it.
-    fn bearable_samples(&self) -> i64 {
-        libm::round(0.02 * self.definition.sample_rate_hz) as i64
+    /// Samples that a whole cycle may lack of a part outside of its two strokes that is planned to last `planned_s`: a bin, to which the
+    /// strokes' places are certain where a knock falls into one, and what a cycle that runs faster than planned saves there. More
+    /// is a cycle that began before the stretch did, or ends after it.
+    fn bearable_samples(&self, span: &Span, planned_s: f64) -> i64 {
+        let saved_s = (1.0 - self.definition.pace_of(span)).max(0.0) * planned_s;
+        self.definition.bin_samples as i64 + libm::round(saved_s * self.definition.sample_rate_hz) as i64
+    }
+
+    /// Whether the cycle's first samples are there.
+    fn has_begin(&self, span: &Span) -> bool {
+        -span.start <= self.bearable_samples(span, self.definition.anchors[0].end_s)
+    }
+
+    /// Whether the cycle's last samples are there, `next` being the number of the first that is not.
+    fn has_end(&self, span: &Span, next: i64) -> bool {
+        span.end - next <= self.bearable_samples(span, self.definition.after_last_stroke_s())
     }
 
     /// Takes a sample; `sink` hears of each cycle that it completes or spoils.
@@ -333,7 +345,7 @@ impl<'m> CycleReader<'m> {
             None => {}
         }
         if let Some(span) = state.open.take() {
-            if span.end - state.next <= self.bearable_samples() {
+            if self.has_end(&span, state.next) {
                 self.close(state, &span, sink);
             } else {
                 self.reject(state, span.start, span.end, reason, sink);
@@ -460,7 +472,7 @@ impl<'m> CycleReader<'m> {
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
         if let Some(previous) = state.open.take() {
-            // The pause was shorter than planned: the previous cycle ends where this one begins.
+            // This cycle's last stroke came before the previous cycle's planned end: that one ends with the samples that there are.
             self.close(state, &Span { end: previous.end.min(state.next), ..previous }, sink);
         }
         if let Some(mark) = self.marked_start(state, span.start) {
@@ -469,7 +481,7 @@ impl<'m> CycleReader<'m> {
         // An orphaned stroke within the cycle was a bump.
         state.orphan = state.orphan.filter(|orphan| orphan.end <= span.start);
         self.reject_orphan(state, sink);
-        if span.start < -self.bearable_samples() {
+        if !self.has_begin(&span) {
             if !state.stretch.has_reported(span.end, self.definition.cycle_samples() as i64) {
                 self.reject(state, span.start, span.end, state.stretch.reason, sink);
             }
@@ -534,8 +546,7 @@ impl<'m> CycleReader<'m> {
 
     /// Samples from the last stroke's anchor to the cycle's end, as planned.
     fn samples_after_last_stroke(&self) -> i64 {
-        let definition = &self.definition;
-        libm::round((definition.period_s - definition.anchors[1].end_s) * definition.sample_rate_hz) as i64
+        libm::round(self.definition.after_last_stroke_s() * self.definition.sample_rate_hz) as i64
     }
 
     fn reject<B: AsRef<[f32]> + AsMut<[f32]>>(

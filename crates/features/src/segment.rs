@@ -111,6 +111,16 @@ impl CycleDefinition<'_> {
         self.cycle_samples().checked_div(self.bin_samples).unwrap_or(0).min(MAX_CYCLE_BINS)
     }
 
+    /// Time from the last stroke's anchor to the cycle's end as planned, s.
+    pub(crate) fn after_last_stroke_s(&self) -> f64 {
+        self.period_s - self.anchors[1].end_s
+    }
+
+    /// Time between a cycle's strokes over the planned one: below 1 for a cycle that runs faster.
+    pub(crate) fn pace_of(&self, span: &Span) -> f64 {
+        (span.anchors[1] - span.anchors[0]) / self.planned_distance()
+    }
+
     /// Samples between the two anchors as planned.
     fn planned_distance(&self) -> f64 {
         (self.anchors[1].end_s - self.anchors[0].end_s) * self.sample_rate_hz
@@ -313,11 +323,15 @@ impl SegmentState {
             let end = libm::round(last.end) as i64;
             return Finding::OrphanedLastStroke(Orphan { end, correlation: last.correlation });
         };
-        self.first = [None; REMEMBERED];
+        // What came after the cycle's last stroke is the next cycle's: a last stroke that waits for a better one is confirmed when that
+        // cycle has long begun.
+        for slot in &mut self.first {
+            *slot = slot.filter(|first| first.end > last.end);
+        }
         let rate = definition.sample_rate_hz;
         Finding::Cycle(Span {
             start: libm::round(first.end - definition.anchors[0].end_s * rate) as i64,
-            end: libm::round(last.end + (definition.period_s - definition.anchors[1].end_s) * rate) as i64,
+            end: libm::round(last.end + definition.after_last_stroke_s() * rate) as i64,
             anchors: [first.end, last.end],
         })
     }
