@@ -1,0 +1,273 @@
+//! A connection to the broker: one form for both versions of the protocol.
+
+use std::fs;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use rumqttc::{QoS, TlsConfiguration, Transport, v5};
+use rustls::pki_types::pem::PemObject;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use rustls::{ClientConfig, RootCertStore};
+use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
+
+use crate::config::{MqttConfig, MqttVersion};
+use crate::failure::{Code, Failure};
+
+/// Time after which a silent broker is asked whether it is there.
+pub(super) const KEEP_ALIVE: Duration = Duration::from_secs(15);
+/// Requests under way to the connection.
+const REQUESTS: usize = 64;
+
+/// A client of either version.
+enum Client {
+    V3(rumqttc::AsyncClient),
+    V5(v5::AsyncClient),
+}
+
+/// What a connection tells.
+pub(super) enum Told {
+    Connected,
+    Confirmed,
+    Refused(String),
+    Message(String),
+    Lost(String),
+}
+
+/// Where the broker is, and who asks.
+pub(super) struct Link {
+    pub(super) config: MqttConfig,
+    client_id: String,
+    password: Option<String>,
+    tls: Option<Arc<ClientConfig>>,
+    /// Whether this client announces itself as the daemon and takes orders.
+    pub(super) presence: bool,
+}
+
+impl Link {
+    /// Reads certificates and password.
+    ///
+    /// # Errors
+    /// [`Failure`] where one of these files cannot be read.
+    pub(super) fn new(config: &MqttConfig) -> Result<Self, Failure> {
+        let (password, tls) = credentials(config)?;
+        let host = nix::unistd::gethostname().unwrap_or_default();
+        let client_id =
+            config.client_id.clone().unwrap_or_else(|| format!("seepd-{}", host.to_string_lossy()));
+        Ok(Link { config: config.clone(), client_id, password, tls, presence: true })
+    }
+
+    /// Host and port.
+    pub(super) fn place(&self) -> String {
+        format!("{}:{}", self.config.host, self.config.port())
+    }
+
+    /// A topic below the prefix.
+    pub(super) fn topic(&self, topic: &str) -> String {
+        format!("{}/{topic}", self.config.prefix)
+    }
+
+    fn transport(&self) -> Transport {
+        self.tls.as_ref().map_or(Transport::Tcp, |tls| {
+            Transport::tls_with_config(TlsConfiguration::Rustls(Arc::clone(tls)))
+        })
+    }
+}
+
+/// A connection, or the try to make one; it ends with its first loss.
+pub(super) struct Connection {
+    client: Client,
+    told: mpsc::Receiver<Told>,
+    task: JoinHandle<()>,
+}
+
+impl Drop for Connection {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+impl Connection {
+    /// Begins to connect.
+    pub(super) fn open(link: &Link) -> Self {
+        let (teller, told) = mpsc::channel(REQUESTS);
+        let (client, task) = match link.config.version {
+            MqttVersion::V3 => open_3(link, teller),
+            MqttVersion::V5 => open_5(link, teller),
+        };
+        Connection { client, told, task }
+    }
+
+    /// What it tells next; nothing any more after a loss.
+    pub(super) async fn told(&mut self) -> Option<Told> {
+        self.told.recv().await
+    }
+
+    /// Sends a message; waits where many requests are under way.
+    pub(super) async fn publish(
+        &self,
+        topic: String,
+        message: String,
+        qos: QoS,
+        retain: bool,
+    ) -> Result<(), String> {
+        match &self.client {
+            Client::V3(client) => {
+                client.publish(topic, qos, retain, message).await.map_err(|error| error.to_string())
+            }
+            Client::V5(client) => {
+                client.publish(topic, qos_5(qos), retain, message).await.map_err(|error| error.to_string())
+            }
+        }
+    }
+
+    /// Announces this client by a retained word, and asks for messages under some topics. The requests wait in the connection's
+    /// queue, which must be empty.
+    pub(super) fn greet(&self, topic: String, word: &str, subscribed: Vec<String>) -> Result<(), String> {
+        match &self.client {
+            Client::V3(client) => client
+                .try_publish(topic, QoS::AtMostOnce, true, word)
+                .and_then(|()| {
+                    subscribed.into_iter().try_for_each(|topic| client.try_subscribe(topic, QoS::AtLeastOnce))
+                })
+                .map_err(|error| error.to_string()),
+            Client::V5(client) => client
+                .try_publish(topic, qos_5(QoS::AtMostOnce), true, word.to_owned())
+                .and_then(|()| {
+                    let qos = qos_5(QoS::AtLeastOnce);
+                    subscribed.into_iter().try_for_each(|topic| client.try_subscribe(topic, qos))
+                })
+                .map_err(|error| error.to_string()),
+        }
+    }
+
+    /// Takes leave, and waits until all that was asked is sent.
+    pub(super) async fn close(&mut self) {
+        // An error says that the connection has ended already.
+        match &self.client {
+            Client::V3(client) => drop(client.disconnect().await),
+            Client::V5(client) => drop(client.disconnect().await),
+        }
+        while !matches!(self.told().await, None | Some(Told::Lost(_))) {}
+    }
+}
+
+fn open_3(link: &Link, teller: mpsc::Sender<Told>) -> (Client, JoinHandle<()>) {
+    use rumqttc::{AsyncClient, Event, LastWill, MqttOptions, Packet};
+    let mut options = MqttOptions::new(&link.client_id, &link.config.host, link.config.port());
+    options.set_keep_alive(KEEP_ALIVE).set_clean_session(true).set_max_packet_size(64 << 10, 256 << 10);
+    if link.presence {
+        options.set_last_will(LastWill::new(link.topic("status"), "offline", QoS::AtLeastOnce, true));
+    }
+    if let Some(user) = &link.config.username {
+        options.set_credentials(user, link.password.as_deref().unwrap_or_default());
+    }
+    options.set_transport(link.transport());
+    let (client, mut connection) = AsyncClient::new(options, REQUESTS);
+    let task = tokio::spawn(async move {
+        loop {
+            let told = match connection.poll().await {
+                Ok(Event::Incoming(Packet::ConnAck(_))) => Told::Connected,
+                Ok(Event::Incoming(Packet::PubAck(_))) => Told::Confirmed,
+                Ok(Event::Incoming(Packet::Publish(message))) => Told::Message(message.topic),
+                Ok(_) => continue,
+                Err(error) => Told::Lost(error.to_string()),
+            };
+            let lost = matches!(told, Told::Lost(_));
+            if teller.send(told).await.is_err() || lost {
+                return;
+            }
+        }
+    });
+    (Client::V3(client), task)
+}
+
+fn open_5(link: &Link, teller: mpsc::Sender<Told>) -> (Client, JoinHandle<()>) {
+    use v5::mqttbytes::v5::{LastWill, Packet, PubAckReason};
+    use v5::{AsyncClient, Event, MqttOptions};
+    let mut options = MqttOptions::new(&link.client_id, &link.config.host, link.config.port());
+    options.set_keep_alive(KEEP_ALIVE).set_clean_start(true).set_max_packet_size(Some(64 << 10));
+    if link.presence {
+        let will = LastWill::new(link.topic("status"), "offline", qos_5(QoS::AtLeastOnce), true, None);
+        options.set_last_will(will);
+    }
+    if let Some(user) = &link.config.username {
+        options.set_credentials(user, link.password.as_deref().unwrap_or_default());
+    }
+    options.set_transport(link.transport());
+    let (client, mut connection) = AsyncClient::new(options, REQUESTS);
+    let task = tokio::spawn(async move {
+        loop {
+            let told = match connection.poll().await {
+                Ok(Event::Incoming(Packet::ConnAck(_))) => Told::Connected,
+                Ok(Event::Incoming(Packet::PubAck(ack))) => match ack.reason {
+                    PubAckReason::Success | PubAckReason::NoMatchingSubscribers => Told::Confirmed,
+                    reason => Told::Refused(format!("{reason:?}")),
+                },
+                Ok(Event::Incoming(Packet::Publish(message))) => {
+                    Told::Message(String::from_utf8_lossy(&message.topic).into_owned())
+                }
+                Ok(_) => continue,
+                Err(error) => Told::Lost(error.to_string()),
+            };
+            let lost = matches!(told, Told::Lost(_));
+            if teller.send(told).await.is_err() || lost {
+                return;
+            }
+        }
+    });
+    (Client::V5(client), task)
+}
+
+fn qos_5(qos: QoS) -> v5::mqttbytes::QoS {
+    match qos {
+        QoS::AtMostOnce => v5::mqttbytes::QoS::AtMostOnce,
+        QoS::AtLeastOnce => v5::mqttbytes::QoS::AtLeastOnce,
+        QoS::ExactlyOnce => v5::mqttbytes::QoS::ExactlyOnce,
+    }
+}
+
+/// Password and certificates.
+///
+/// # Errors
+/// [`Failure`] where one of their files cannot be read.
+pub fn credentials(config: &MqttConfig) -> Result<(Option<String>, Option<Arc<ClientConfig>>), Failure> {
+    let read = |path: &Path| fs::read_to_string(path).map_err(|error| Failure::reading(path, &error));
+    let password = config.password_file.as_deref().map(read).transpose()?;
+    let password = password.map(|text| text.trim_end_matches(['\r', '\n']).to_owned());
+    let tls = if config.tls { Some(Arc::new(tls(config)?)) } else { None };
+    Ok((password, tls))
+}
+
+fn tls(config: &MqttConfig) -> Result<ClientConfig, Failure> {
+    let bad =
+        |path: &Path, what: String| Failure::new(Code::Configuration, format!("{}: {what}", path.display()));
+    let mut roots = RootCertStore::empty();
+    roots.add_parsable_certificates(certificates(&config.ca_file)?);
+    if roots.is_empty() {
+        return Err(bad(&config.ca_file, "has no certificate that could be trusted".into()));
+    }
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let builder = ClientConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()
+        .map_err(|error| Failure::new(Code::Internal, error.to_string()))?
+        .with_root_certificates(roots);
+    match (&config.certificate_file, &config.key_file) {
+        (Some(certificate), Some(key)) => {
+            let pem = fs::read(key).map_err(|error| Failure::reading(key, &error))?;
+            let private = PrivateKeyDer::from_pem_slice(&pem).map_err(|error| bad(key, error.to_string()))?;
+            builder
+                .with_client_auth_cert(certificates(certificate)?, private)
+                .map_err(|error| bad(certificate, error.to_string()))
+        }
+        _ => Ok(builder.with_no_client_auth()),
+    }
+}
+
+fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, Failure> {
+    let pem = fs::read(path).map_err(|error| Failure::reading(path, &error))?;
+    CertificateDer::pem_slice_iter(&pem)
+        .collect::<Result<Vec<_>, _>>()
+        .map_err(|error| Failure::configuration(path, format!("is no PEM file of certificates: {error}")))
+}
