@@ -1,9 +1,11 @@
 //! What the axes tell and the sinks hear: the newest condition of everything, and each event once.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::{Deserialize, Serialize};
+use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, watch};
 
 use crate::baseline::Finding;
@@ -337,6 +339,44 @@ pub enum Order {
     Renew,
 }
 
+/// Why an order was not taken.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum NotTaken {
+    /// There is no axis of that name.
+    NoAxis {
+        /// The name.
+        axis: String,
+        /// Those that there are.
+        axes: Vec<String>,
+    },
+    /// The axis could not be started, or its log has ended.
+    NotRunning {
+        /// Name.
+        axis: String,
+        /// What keeps it.
+        why: String,
+    },
+    /// As many orders as are kept for it wait already.
+    Busy {
+        /// Name.
+        axis: String,
+    },
+}
+
+impl fmt::Display for NotTaken {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            NotTaken::NoAxis { axis, axes } => {
+                write!(f, "there is no axis {axis}; the axes are {}", axes.join(", "))
+            }
+            NotTaken::NotRunning { axis, why } => write!(f, "the axis {axis} does not run: {why}"),
+            NotTaken::Busy { axis } => {
+                write!(f, "the axis {axis} has not worked through its last orders yet; try again")
+            }
+        }
+    }
+}
+
 #[derive(Default)]
 struct Inner {
     axes: BTreeMap<String, Axis>,
@@ -427,10 +467,23 @@ impl Hub {
         self.lock().sinks.values().cloned().collect()
     }
 
-    /// Asks an axis for something; `false` where there is no such axis or it does not listen.
-    pub fn order(&self, axis: &str, order: Order) -> bool {
-        let orders = self.lock().axes.get(axis).map(|axis| axis.orders.clone());
-        orders.is_some_and(|orders| orders.try_send(order).is_ok())
+    /// Asks an axis for something.
+    ///
+    /// # Errors
+    /// The axis cannot take it, and why.
+    pub fn order(&self, axis: &str, order: Order) -> Result<(), NotTaken> {
+        let inner = self.lock();
+        let Some(known) = inner.axes.get(axis) else {
+            return Err(NotTaken::NoAxis { axis: axis.into(), axes: inner.axes.keys().cloned().collect() });
+        };
+        known.orders.try_send(order).map_err(|error| match error {
+            TrySendError::Full(_) => NotTaken::Busy { axis: axis.into() },
+            TrySendError::Closed(_) => {
+                let why = known.status.source.detail.clone();
+                let why = why.unwrap_or_else(|| "its log has ended".into());
+                NotTaken::NotRunning { axis: axis.into(), why }
+            }
+        })
     }
 
     /// Tells of changes of condition.
@@ -483,5 +536,33 @@ impl Hub {
         let event_json = serde_json::to_string(event).unwrap_or_default();
         let publication = Arc::new(Publication { kind, axis: axis.to_owned(), t_ns, json, event_json });
         inner.subscribers.retain(|subscriber| subscriber.send(Arc::clone(&publication)).is_ok());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_order_that_is_not_taken_says_what_is_true() {
+        let hub = Hub::new("test".into());
+        let (orders, mut taken) = mpsc::channel(1);
+        hub.add_axis(AxisStatus::new("busy", 7e6), orders);
+        let mut unusable = AxisStatus::new("unusable", 7e6);
+        unusable.source.detail = Some("model.json: No such file".into());
+        hub.add_axis(unusable, mpsc::channel(1).0);
+        let told =
+            |axis: &str| hub.order(axis, Order::Acknowledge).map_err(|not_taken| not_taken.to_string());
+        assert_eq!(told("busy"), Ok(()));
+        assert_eq!(
+            told("busy"),
+            Err("the axis busy has not worked through its last orders yet; try again".into())
+        );
+        assert_eq!(told("other"), Err("there is no axis other; the axes are busy, unusable".into()));
+        assert_eq!(told("unusable"), Err("the axis unusable does not run: model.json: No such file".into()));
+        assert!(matches!(taken.try_recv(), Ok(Order::Acknowledge)));
+        assert_eq!(told("busy"), Ok(()));
+        drop(taken);
+        assert_eq!(told("busy"), Err("the axis busy does not run: its log has ended".into()));
     }
 }

@@ -28,7 +28,7 @@ use super::prometheus;
 use crate::config::HttpConfig;
 use crate::failure::Failure;
 use crate::live::clock::{self, Clock};
-use crate::live::hub::{AxisStatus, Hub, Order, SinkStatus};
+use crate::live::hub::{AxisStatus, Hub, NotTaken, Order, SinkStatus};
 use crate::source::live::SourceState;
 
 /// The dashboard's name among the sinks.
@@ -256,8 +256,8 @@ async fn status(State(site): State<Arc<Site>>) -> Json<Overview> {
 }
 
 fn no_axis(site: &Site, axis: &str) -> Response {
-    let axes: Vec<String> = site.hub.axes().into_iter().map(|status| status.axis).collect();
-    problem(StatusCode::NOT_FOUND, &format!("there is no axis {axis}; there are {}", axes.join(", ")))
+    let axes = site.hub.axes().into_iter().map(|status| status.axis).collect();
+    problem(StatusCode::NOT_FOUND, &NotTaken::NoAxis { axis: axis.into(), axes }.to_string())
 }
 
 async fn axis(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
@@ -275,19 +275,23 @@ async fn cycles(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Resp
 }
 
 async fn acknowledge(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
-    if site.hub.order(&axis, Order::Acknowledge) {
-        (StatusCode::ACCEPTED, Json(json!({ "acknowledged": axis }))).into_response()
-    } else {
-        no_axis(&site, &axis)
-    }
+    order(&site, &axis, Order::Acknowledge, "acknowledged")
 }
 
 async fn new_baseline(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
-    if site.hub.order(&axis, Order::Renew) {
-        (StatusCode::ACCEPTED, Json(json!({ "new_baseline": axis }))).into_response()
-    } else {
-        no_axis(&site, &axis)
-    }
+    order(&site, &axis, Order::Renew, "new_baseline")
+}
+
+fn order(site: &Site, axis: &str, order: Order, answer: &str) -> Response {
+    let Err(not_taken) = site.hub.order(axis, order) else {
+        return (StatusCode::ACCEPTED, Json(json!({ answer: axis }))).into_response();
+    };
+    let code = match &not_taken {
+        NotTaken::NoAxis { .. } => StatusCode::NOT_FOUND,
+        NotTaken::NotRunning { .. } => StatusCode::CONFLICT,
+        NotTaken::Busy { .. } => StatusCode::SERVICE_UNAVAILABLE,
+    };
+    problem(code, &not_taken.to_string())
 }
 
 /// 200 where every axis hears its machine, else 503 with what is wrong.

@@ -244,8 +244,8 @@ impl Broker {
             "new_baseline" => Order::Renew,
             _ => return,
         };
-        if !self.hub.order(axis, order) {
-            tracing::warn!("{topic}: there is no axis {axis}");
+        if let Err(not_taken) = self.hub.order(axis, order) {
+            tracing::warn!("{topic}: {not_taken}");
         }
     }
 
