@@ -8,11 +8,140 @@ mod daemon;
 #[expect(dead_code, reason = "other tests use the rest")]
 mod support;
 
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use daemon::{Daemon, ask, axis_status, free_port, machine_toml, until};
+use daemon::{Daemon, Mosquitto, ask, axis_status, free_port, has, json, machine_toml, until};
+use serde_json::Value;
+use support::simulate;
 
 const SOON: Duration = Duration::from_secs(15);
+
+/// A machine that says nothing, with a page and a broker.
+fn silent_press(folder: &Path, http_port: u16, broker_port: u16, version: &str) -> String {
+    format!(
+        "axis = \"press-1\"\nstate_dir = \"state\"\n{}[http]\nlisten = \"127.0.0.1:{http_port}\"\n\
+         [mqtt]\nhost = \"127.0.0.1\"\nport = {broker_port}\nversion = \"{version}\"\n",
+        machine_toml(&folder.join("in.sock"))
+    )
+}
+
+/// Publishes a message.
+fn publish(mosquitto: &Mosquitto, topic: &str, more: &[&str]) {
+    let port = mosquitto.port.to_string();
+    let output =
+        Command::new("mosquitto_pub").args(["-h", "127.0.0.1", "-p", &port, "-t", topic]).args(more).output();
+    assert!(output.unwrap().status.success());
+}
+
+fn sink(port: u16, name: &str) -> Value {
+    let sinks = json(port, "/api/v1/status")["sinks"].as_array().unwrap().clone();
+    sinks.into_iter().find(|sink| sink["name"] == name).unwrap()
+}
+
+fn entries(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().map(|entry| entry.unwrap().path());
+    entries.filter(|path| path.extension().is_some_and(|extension| extension == "json")).collect()
+}
+
+#[test]
+fn retained_and_empty_messages_are_no_orders() {
+    if !has("mosquitto") || !has("mosquitto_pub") {
+        return;
+    }
+    for version in ["3.1.1", "5"] {
+        let folder = tempfile::tempdir().unwrap();
+        let mosquitto = Mosquitto::start(folder.path(), free_port(), "allow_anonymous true");
+        let topic = "seepd/press-1/new_baseline";
+        publish(&mosquitto, topic, &["-r", "-m", "replaced last year"]);
+        let port = free_port();
+        let config = silent_press(folder.path(), port, mosquitto.port, version);
+        let daemon = Daemon::start(folder.path(), &config);
+        let told = |what: &str| until(what, SOON, || daemon.words().contains(what));
+        let learning = || axis_status(port).unwrap()["baseline"]["learning"].clone();
+        told("seepd/press-1/new_baseline: a retained message is no order");
+        assert_eq!(learning(), Value::Null);
+        // Whoever clears it gives no order either.
+        publish(&mosquitto, topic, &["-r", "-n"]);
+        told("seepd/press-1/new_baseline: an empty message is no order");
+        assert_eq!(learning(), Value::Null);
+        publish(&mosquitto, topic, &["-m", "replaced just now"]);
+        until("the order", SOON, || learning() == serde_json::json!([0, 50]));
+    }
+}
+
+#[test]
+fn a_topic_that_the_broker_refuses_holds_up_no_other() {
+    if !has("mosquitto") || !has("mosquitto_sub") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("worn.mcap");
+    simulate(&log, &["--cycles", "8", "--leak-area", "1e-7", "--leak-growth", "3e-7"]);
+    let (http_port, broker_port) = (free_port(), free_port());
+    let (source, mqtt) = (format!("[source]\nlog = \"{}\"\npace = \"fast\"\n", log.display()), broker_port);
+    let fast = format!(
+        "axis = \"press-1\"\nstate_dir = \"state\"\n{source}[alarm]\nraise_cycles = 1\n[mqtt]\nhost = \"127.0.0.1\"\nport = {mqtt}\n"
+    );
+    assert!(Daemon::start(folder.path(), &fast).wait().success());
+    let spool = folder.path().join("state/spool");
+    let waiting = entries(&spool);
+    let of_topic =
+        |topic: &str| waiting.iter().filter(|path| fs::read_to_string(path).unwrap().contains(topic)).count();
+    let (cycles, flags) = (of_topic("\"press-1/cycle\""), of_topic("\"press-1/flag\""));
+    assert!(cycles == 8 && flags >= 1 && cycles + flags == waiting.len(), "{cycles} cycles, {flags} flags");
+
+    let acl = folder.path().join("acl");
+    fs::write(&acl, "topic deny seepd/press-1/cycle\ntopic readwrite seepd/#\n").unwrap();
+    let more = format!("allow_anonymous true\nacl_file {}", acl.display());
+    let mosquitto = Mosquitto::start(folder.path(), broker_port, &more);
+    let heard = mosquitto.listen(&folder.path().join("heard.txt"), &[]);
+    let daemon = Daemon::start(folder.path(), &silent_press(folder.path(), http_port, broker_port, "5"));
+    until("every flag", SOON, || heard.messages("seepd/press-1/flag").len() == flags);
+    until("an empty spool", SOON, || entries(&spool).is_empty());
+    assert_eq!(entries(&spool.join("refused")).len(), cycles);
+    let mqtt = sink(http_port, "mqtt");
+    assert_eq!(
+        (&mqtt["sent"], &mqtt["waiting"], &mqtt["dropped"]),
+        (&flags.into(), &0.into(), &cycles.into())
+    );
+    assert!(mqtt["detail"].as_str().unwrap().ends_with("the broker refuses press-1/cycle"), "{mqtt}");
+    assert_eq!(daemon.words().matches("connected to the broker").count(), 1, "{}", daemon.words());
+}
+
+#[test]
+fn a_flood_of_orders_is_a_few_lines_in_the_log() {
+    if !has("mosquitto") || !has("mosquitto_pub") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let mosquitto =
+        Mosquitto::start(folder.path(), free_port(), "allow_anonymous true\nmax_queued_messages 0");
+    let port = free_port();
+    let daemon = Daemon::start(folder.path(), &silent_press(folder.path(), port, mosquitto.port, "3.1.1"));
+    until("the broker", SOON, || daemon.words().contains("connected to the broker"));
+    let flood = |topic: &str| {
+        let mut child = Command::new("mosquitto_pub")
+            .args(["-h", "127.0.0.1", "-p", &mosquitto.port.to_string(), "-l", "-t", topic])
+            .stdin(Stdio::piped())
+            .spawn()
+            .unwrap();
+        child.stdin.take().unwrap().write_all(&b"now\n".repeat(3000)).unwrap();
+        assert!(child.wait().unwrap().success());
+    };
+    flood("seepd/press-1/new_baseline");
+    flood("seepd/nobody/acknowledge");
+    let words = || daemon.words();
+    until("what is true", SOON, || words().contains("there is no axis nobody; the axes are press-1"));
+    until("the order", SOON, || {
+        axis_status(port).unwrap()["baseline"]["learning"] == serde_json::json!([0, 50])
+    });
+    assert!(words().lines().count() < 40, "{}", words());
+    assert!(!words().contains("there is no axis press-1"), "{}", words());
+}
 
 #[test]
 fn an_order_to_an_axis_that_cannot_run_says_so() {

@@ -305,6 +305,12 @@ impl<'a> Desk<'a> {
 
     /// The seal has been replaced: estimates count from here, as soon as there is a baseline.
     fn renew(&mut self, pipeline: &mut Pipeline<'_>) {
+        let has_begun = |(record, monitor): (&Record, &Monitor<'_>)| {
+            record.is_renewing() && monitor.learner().is_some_and(|learner| learner.cycles() == 0)
+        };
+        if self.records.iter().zip(pipeline.monitors()).all(has_begun) {
+            return;
+        }
         tracing::info!(axis = self.config.axis, "a new baseline is learned from the next cycles");
         for (record, monitor) in self.records.iter_mut().zip(pipeline.monitors_mut()) {
             record.renew(monitor);

@@ -1,7 +1,7 @@
 //! Events that wait for the broker: one small file each, in order, bounded.
 //!
 //! A file is written whole before it takes its place, so a cut leaves the events before it. What cannot be read is moved
-//! into `damaged` and counted; the others go on.
+//! into `damaged`, what the broker refuses into `refused`, and counted; the others go on.
 
 use std::collections::VecDeque;
 use std::fs;
@@ -18,6 +18,13 @@ use crate::live::state::write_durably;
 const SCHEMA: &str = "seepd.spool/2";
 /// The first one, in which the event stood as a text within the text.
 const SCHEMA_1: &str = "seepd.spool/1";
+
+/// Where what cannot be read goes.
+const DAMAGED: &str = "damaged";
+/// Where what the broker refuses goes.
+const REFUSED: &str = "refused";
+/// Entries that are kept in such a folder; the oldest go first.
+const KEPT_ASIDE: usize = 1000;
 
 /// An event that waits.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -58,9 +65,19 @@ pub struct Spool {
     most: usize,
     numbers: VecDeque<u64>,
     next: u64,
+    counts: Counts,
+}
+
+/// What is in the spool, and what went from it unsent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Counts {
+    /// Entries that wait.
+    pub waiting: u64,
     /// Entries that could not be read.
     pub damaged: u64,
-    /// Entries that went unsent because there were too many.
+    /// Entries that the broker refused.
+    pub refused: u64,
+    /// Entries that went because there were too many.
     pub dropped: u64,
 }
 
@@ -72,29 +89,27 @@ impl Spool {
     pub fn open(folder: &Path, most: usize) -> Result<Self, Failure> {
         let failed = |error| Failure::writing(folder, error);
         fs::create_dir_all(folder).map_err(failed)?;
-        let mut numbers = Vec::new();
-        for entry in fs::read_dir(folder).map_err(failed)? {
-            let name = entry.map_err(failed)?.file_name();
-            let number = name.to_str().and_then(|name| name.strip_suffix(".json")).map(str::parse::<u64>);
-            numbers.extend(number.and_then(Result::ok));
-        }
-        numbers.sort_unstable();
-        let next = numbers.last().map_or(1, |last| last.saturating_add(1));
-        Ok(Spool { folder: folder.to_owned(), most, numbers: numbers.into(), next, damaged: 0, dropped: 0 })
+        let numbers = numbers(folder).map_err(failed)?;
+        // A number that was set aside is not given again, or the new entry would take the old one's place there.
+        let aside = [DAMAGED, REFUSED].map(|name| self::numbers(&folder.join(name)).unwrap_or_default());
+        let last = aside.iter().chain([&numbers]).filter_map(|numbers| numbers.last()).max();
+        let next = last.map_or(1, |last| last.saturating_add(1));
+        Ok(Spool {
+            folder: folder.to_owned(),
+            most,
+            numbers: numbers.into(),
+            next,
+            counts: Counts::default(),
+        })
     }
 
-    /// Events that wait.
-    pub fn len(&self) -> usize {
-        self.numbers.len()
-    }
-
-    /// Whether none waits.
-    pub fn is_empty(&self) -> bool {
-        self.numbers.is_empty()
+    /// What is there, and what went.
+    pub fn counts(&self) -> Counts {
+        Counts { waiting: self.numbers.len() as u64, ..self.counts }
     }
 
     fn path(&self, number: u64) -> PathBuf {
-        self.folder.join(format!("{number:012}.json"))
+        entry_path(&self.folder, number)
     }
 
     /// Adds an event, durably, and tells its number; where there are too many, the oldest goes.
@@ -109,7 +124,7 @@ impl Spool {
         self.next += 1;
         self.numbers.push_back(number);
         while self.numbers.len() > self.most {
-            self.dropped += 1;
+            self.counts.dropped += 1;
             self.remove_first()?;
         }
         Ok(number)
@@ -129,15 +144,34 @@ impl Spool {
 
     fn set_first_aside(&mut self, number: u64, message: &str) {
         let from = self.path(number);
-        tracing::error!("{}: {message}; moved into `damaged`", from.display());
-        let aside = self.folder.join("damaged");
-        let moved = fs::create_dir_all(&aside)
-            .and_then(|()| fs::rename(&from, aside.join(format!("{number:012}.json"))));
-        if let Err(error) = moved {
+        tracing::error!("{}: {message}; moved into `{DAMAGED}`", from.display());
+        if let Err(error) = self.move_aside(number, DAMAGED) {
             tracing::error!("{}: cannot be moved: {error}", from.display());
         }
-        self.damaged += 1;
+        self.counts.damaged += 1;
         self.numbers.pop_front();
+    }
+
+    /// Sets an event aside that the broker refuses, if it is still the first.
+    ///
+    /// # Errors
+    /// Moving failed; it will be sent again after a restart.
+    pub fn refuse(&mut self, number: u64) -> io::Result<()> {
+        if self.numbers.front() != Some(&number) {
+            return Ok(());
+        }
+        self.numbers.pop_front();
+        self.counts.refused += 1;
+        self.move_aside(number, REFUSED)
+    }
+
+    fn move_aside(&self, number: u64, name: &str) -> io::Result<()> {
+        let aside = self.folder.join(name);
+        fs::create_dir_all(&aside)?;
+        fs::rename(self.path(number), entry_path(&aside, number))?;
+        let kept = numbers(&aside)?;
+        let surplus = kept.len().saturating_sub(KEPT_ASIDE);
+        kept.iter().take(surplus).try_for_each(|number| fs::remove_file(entry_path(&aside, *number)))
     }
 
     /// Removes an event that has arrived, if it is still the first.
@@ -152,6 +186,22 @@ impl Spool {
         let Some(number) = self.numbers.pop_front() else { return Ok(()) };
         fs::remove_file(self.path(number))
     }
+}
+
+fn entry_path(folder: &Path, number: u64) -> PathBuf {
+    folder.join(format!("{number:012}.json"))
+}
+
+/// Numbers of the entries in a folder, in order.
+fn numbers(folder: &Path) -> io::Result<Vec<u64>> {
+    let mut numbers = Vec::new();
+    for entry in fs::read_dir(folder)? {
+        let name = entry?.file_name();
+        let number = name.to_str().and_then(|name| name.strip_suffix(".json")).map(str::parse::<u64>);
+        numbers.extend(number.and_then(Result::ok));
+    }
+    numbers.sort_unstable();
+    Ok(numbers)
 }
 
 #[cfg(test)]
@@ -181,7 +231,7 @@ mod tests {
         let mut again = Spool::open(folder.path(), 10).unwrap();
         again.push("d", "{}").unwrap();
         assert_eq!(topics(&mut again), ["b", "c", "d"]);
-        assert!(Spool::open(folder.path(), 10).unwrap().is_empty());
+        assert_eq!(Spool::open(folder.path(), 10).unwrap().counts(), Counts::default());
     }
 
     #[test]
@@ -191,7 +241,7 @@ mod tests {
         for topic in ["a", "b", "c", "d"] {
             spool.push(topic, "{}").unwrap();
         }
-        assert_eq!((spool.dropped, topics(&mut spool)), (2, vec!["c".into(), "d".into()]));
+        assert_eq!((spool.counts().dropped, topics(&mut spool)), (2, vec!["c".into(), "d".into()]));
     }
 
     #[test]
@@ -207,8 +257,31 @@ mod tests {
         fs::write(folder.path().join("000000000009.new"), b"{").unwrap();
         let mut again = Spool::open(folder.path(), 10).unwrap();
         assert_eq!(topics(&mut again), ["c"]);
-        assert_eq!(again.damaged, 2);
+        assert_eq!(again.counts().damaged, 2);
         assert_eq!(fs::read_dir(folder.path().join("damaged")).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn refused_events_make_way_and_only_the_newest_are_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut spool = Spool::open(folder.path(), KEPT_ASIDE + 10).unwrap();
+        for number in 1..=KEPT_ASIDE as u64 + 2 {
+            spool.numbers.push_back(number);
+            fs::write(spool.path(number), "{}").unwrap();
+        }
+        // Only the first can be refused: it is the one under way.
+        spool.refuse(2).unwrap();
+        assert_eq!(spool.counts().refused, 0);
+        for number in 1..=KEPT_ASIDE as u64 + 1 {
+            spool.refuse(number).unwrap();
+        }
+        let counts = spool.counts();
+        assert_eq!((counts.waiting, counts.refused), (1, KEPT_ASIDE as u64 + 1));
+        let kept = numbers(&folder.path().join(REFUSED)).unwrap();
+        assert_eq!((kept.len(), kept[0]), (KEPT_ASIDE, 2));
+        // Their numbers are not given again.
+        fs::remove_file(spool.path(KEPT_ASIDE as u64 + 2)).unwrap();
+        assert_eq!(Spool::open(folder.path(), 10).unwrap().push("a", "{}").unwrap(), KEPT_ASIDE as u64 + 2);
     }
 
     #[test]

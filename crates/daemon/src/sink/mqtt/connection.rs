@@ -16,7 +16,7 @@ use crate::config::{MqttConfig, MqttVersion};
 use crate::failure::{Code, Failure};
 
 /// Time after which a silent broker is asked whether it is there.
-pub(super) const KEEP_ALIVE: Duration = Duration::from_secs(15);
+const KEEP_ALIVE: Duration = Duration::from_secs(15);
 /// Requests under way to the connection.
 const REQUESTS: usize = 64;
 
@@ -26,13 +26,47 @@ enum Client {
     V5(v5::AsyncClient),
 }
 
+impl Client {
+    fn try_publish(&self, topic: String, word: &str) -> Result<(), String> {
+        let (qos, word) = (QoS::AtMostOnce, word.to_owned());
+        match self {
+            Client::V3(client) => {
+                client.try_publish(topic, qos, true, word).map_err(|error| error.to_string())
+            }
+            Client::V5(client) => {
+                client.try_publish(topic, qos_5(qos), true, word).map_err(|error| error.to_string())
+            }
+        }
+    }
+
+    fn try_subscribe(&self, topic: String) -> Result<(), String> {
+        let qos = QoS::AtLeastOnce;
+        match self {
+            Client::V3(client) => client.try_subscribe(topic, qos).map_err(|error| error.to_string()),
+            Client::V5(client) => client.try_subscribe(topic, qos_5(qos)).map_err(|error| error.to_string()),
+        }
+    }
+}
+
 /// What a connection tells.
 pub(super) enum Told {
     Connected,
     Confirmed,
+    /// The broker will never take the event, and why.
     Refused(String),
-    Message(String),
+    /// It takes no event now, and why.
+    Unwilling(String),
+    Message(Message),
     Lost(String),
+}
+
+/// A message from others.
+pub(super) struct Message {
+    pub(super) topic: String,
+    /// Whether the broker has kept it and hands it out at each connection.
+    pub(super) retained: bool,
+    /// Whether it has no content, by which a retained message is cleared.
+    pub(super) empty: bool,
 }
 
 /// Where the broker is, and who asks.
@@ -125,21 +159,8 @@ impl Connection {
     /// Announces this client by a retained word, and asks for messages under some topics. The requests wait in the connection's
     /// queue, which must be empty.
     pub(super) fn greet(&self, topic: String, word: &str, subscribed: Vec<String>) -> Result<(), String> {
-        match &self.client {
-            Client::V3(client) => client
-                .try_publish(topic, QoS::AtMostOnce, true, word)
-                .and_then(|()| {
-                    subscribed.into_iter().try_for_each(|topic| client.try_subscribe(topic, QoS::AtLeastOnce))
-                })
-                .map_err(|error| error.to_string()),
-            Client::V5(client) => client
-                .try_publish(topic, qos_5(QoS::AtMostOnce), true, word.to_owned())
-                .and_then(|()| {
-                    let qos = qos_5(QoS::AtLeastOnce);
-                    subscribed.into_iter().try_for_each(|topic| client.try_subscribe(topic, qos))
-                })
-                .map_err(|error| error.to_string()),
-        }
+        self.client.try_publish(topic, word)?;
+        subscribed.into_iter().try_for_each(|topic| self.client.try_subscribe(topic))
     }
 
     /// Takes leave, and waits until all that was asked is sent.
@@ -170,7 +191,11 @@ fn open_3(link: &Link, teller: mpsc::Sender<Told>) -> (Client, JoinHandle<()>) {
             let told = match connection.poll().await {
                 Ok(Event::Incoming(Packet::ConnAck(_))) => Told::Connected,
                 Ok(Event::Incoming(Packet::PubAck(_))) => Told::Confirmed,
-                Ok(Event::Incoming(Packet::Publish(message))) => Told::Message(message.topic),
+                Ok(Event::Incoming(Packet::Publish(message))) => Told::Message(Message {
+                    topic: message.topic,
+                    retained: message.retain,
+                    empty: message.payload.is_empty(),
+                }),
                 Ok(_) => continue,
                 Err(error) => Told::Lost(error.to_string()),
             };
@@ -203,11 +228,16 @@ fn open_5(link: &Link, teller: mpsc::Sender<Told>) -> (Client, JoinHandle<()>) {
                 Ok(Event::Incoming(Packet::ConnAck(_))) => Told::Connected,
                 Ok(Event::Incoming(Packet::PubAck(ack))) => match ack.reason {
                     PubAckReason::Success | PubAckReason::NoMatchingSubscribers => Told::Confirmed,
+                    reason @ (PubAckReason::QuotaExceeded | PubAckReason::PacketIdentifierInUse) => {
+                        Told::Unwilling(format!("{reason:?}"))
+                    }
                     reason => Told::Refused(format!("{reason:?}")),
                 },
-                Ok(Event::Incoming(Packet::Publish(message))) => {
-                    Told::Message(String::from_utf8_lossy(&message.topic).into_owned())
-                }
+                Ok(Event::Incoming(Packet::Publish(message))) => Told::Message(Message {
+                    topic: String::from_utf8_lossy(&message.topic).into_owned(),
+                    retained: message.retain,
+                    empty: message.payload.is_empty(),
+                }),
                 Ok(_) => continue,
                 Err(error) => Told::Lost(error.to_string()),
             };

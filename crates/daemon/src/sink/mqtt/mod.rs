@@ -2,11 +2,14 @@
 //!
 //! Below the prefix: `AXIS/cycle`, `AXIS/flag`, `AXIS/notice`, `AXIS/acknowledged`, `AXIS/test` (events), `AXIS/status` (retained),
 //! `status` (`online` or `offline`, retained; the last will). A message on `AXIS/acknowledge` takes note of a latched flag, one on
-//! `AXIS/new_baseline` has a new baseline learned: the seal has been replaced.
-//! An event is on disk before it counts as told; it goes from there when the broker has confirmed it.
+//! `AXIS/new_baseline` has a new baseline learned: the seal has been replaced. Retained messages are no orders, as they would be
+//! given again at each connection.
+//! An event is on disk before it counts as told; it goes from there when the broker has confirmed it. One that the broker refuses
+//! is set aside, so that those behind it arrive.
 
 mod connection;
 
+use std::collections::BTreeSet;
 use std::io;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -16,12 +19,13 @@ use rumqttc::QoS;
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until, timeout};
 
-use self::connection::{Connection, KEEP_ALIVE, Link, Told};
+use self::connection::{Connection, Link, Message, Told};
 use crate::config::MqttConfig;
 use crate::event::Flag;
 use crate::failure::Failure;
 use crate::live::hub::{AxisStatus, Hub, Order, Publication};
-use crate::live::spool::Spool;
+use crate::live::journal::Warnings;
+use crate::live::spool::{Counts, Spool};
 use crate::source::live::SourceState;
 
 pub use self::connection::credentials;
@@ -39,21 +43,47 @@ const COUNTS_EVERY: Duration = Duration::from_secs(60);
 /// Time for a farewell.
 const FAREWELL: Duration = Duration::from_millis(500);
 
+/// A connection that has stood for so long was a good one: after it the first wait is the shortest again.
+const STOOD: Duration = WAITS.1;
+/// An event over which the connection was lost so often in a row is set aside. MQTT 3.1.1 has no other way to refuse one.
+const LOSSES: u32 = 5;
+
 /// A broker that is kept up with.
 pub struct Broker {
     link: Link,
     hub: Arc<Hub>,
     spool: Arc<Mutex<Spool>>,
+    /// What was in the spool when it was last at work.
+    counts: Counts,
     connection: Option<Connection>,
-    connected: bool,
-    /// Number of the event that waits for its confirmation, and until when.
-    under_way: Option<(u64, Instant)>,
+    connected_since: Option<Instant>,
+    under_way: Option<UnderWay>,
+    /// Number of the event over which the connection was lost last, and how often in a row.
+    losses: (u64, u32),
+    /// Topics of which events were refused and none was taken since.
+    refused: BTreeSet<String>,
     retry_at: Instant,
     wait: Duration,
     sent: u64,
+    /// Events that could not be written to disk.
+    lost: u64,
     /// What was last told of the axes, and when their counts are due.
     told: Vec<News>,
     counts_at: Instant,
+    warnings: Warnings,
+}
+
+/// An event that waits for its confirmation.
+struct UnderWay {
+    number: u64,
+    topic: String,
+    until: Instant,
+}
+
+impl UnderWay {
+    fn new(number: u64, topic: String) -> Self {
+        UnderWay { number, topic, until: now() + CONFIRMATION }
+    }
 }
 
 /// What of a condition is worth a message at once.
@@ -71,18 +101,24 @@ impl Broker {
     /// [`Failure`] where one of these files cannot be read.
     pub fn new(config: &MqttConfig, spool_folder: &Path, hub: Arc<Hub>) -> Result<Self, Failure> {
         let now = now();
+        let spool = Spool::open(spool_folder, config.spool_events)?;
         Ok(Broker {
             link: Link::new(config)?,
-            spool: Arc::new(Mutex::new(Spool::open(spool_folder, config.spool_events)?)),
             hub,
+            counts: spool.counts(),
+            spool: Arc::new(Mutex::new(spool)),
             connection: None,
-            connected: false,
+            connected_since: None,
             under_way: None,
+            losses: (0, 0),
+            refused: BTreeSet::new(),
             retry_at: now,
             wait: WAITS.0,
             sent: 0,
+            lost: 0,
             told: Vec::new(),
             counts_at: now,
+            warnings: Warnings::new(now),
         })
     }
 
@@ -104,15 +140,15 @@ impl Broker {
                 self.connection = Some(Connection::open(&self.link));
             }
             self.send_next().await;
-            let (retry_at, waits, may_tell) = (self.retry_at, self.connection.is_none(), self.connected);
-            let confirmation = self.under_way.map_or(now() + KEEP_ALIVE, |(_, until)| until);
-            let confirming = self.under_way.is_some();
+            let (retry_at, waits) = (self.retry_at, self.connection.is_none());
+            let may_tell = self.connected_since.is_some();
+            let confirmation = self.under_way.as_ref().map(|event| event.until);
             let told = next_told(&mut self.connection);
             tokio::select! {
                 biased;
                 _ = stop.changed() => break,
                 told = told => {
-                    self.heed(told.unwrap_or_else(|| Told::Lost("the connection ended".into())));
+                    self.heed(told.unwrap_or_else(|| Told::Lost("the connection ended".into()))).await;
                     status_due = true;
                 }
                 Some(event) = events.recv() => self.take(&event).await,
@@ -123,8 +159,8 @@ impl Broker {
                     self.send_status().await;
                 }
                 () = sleep_until(retry_at), if waits => {}
-                () = sleep_until(confirmation), if confirming => {
-                    self.lose("the broker confirms nothing");
+                () = sleep_until(confirmation.unwrap_or(retry_at)), if confirmation.is_some() => {
+                    self.lose_over_event("the broker confirms nothing").await;
                 }
             }
         }
@@ -135,52 +171,67 @@ impl Broker {
         self.say_farewell().await;
     }
 
-    fn lock_spool(&self) -> std::sync::MutexGuard<'_, Spool> {
-        self.spool.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Works on the spool where a slow disk holds nothing up, and notes what is there then.
+    async fn at_disk<T: Send + 'static>(
+        &mut self,
+        work: impl FnOnce(&mut Spool) -> io::Result<T> + Send + 'static,
+    ) -> io::Result<T> {
+        let spool = Arc::clone(&self.spool);
+        let at_work = tokio::task::spawn_blocking(move || {
+            let mut spool = spool.lock().unwrap_or_else(PoisonError::into_inner);
+            (work(&mut spool), spool.counts())
+        });
+        let (result, counts) = at_work.await.map_err(io::Error::other)?;
+        self.counts = counts;
+        result
     }
 
     fn tell(&self, detail: &str) {
-        let (waiting, dropped) = {
-            let spool = self.lock_spool();
-            (spool.len() as u64, spool.dropped + spool.damaged)
-        };
-        let (good, sent) = (self.connected, self.sent);
+        let Counts { waiting, damaged, refused, dropped } = self.counts;
+        let (good, sent) = (self.connected_since.is_some(), self.sent);
+        let gone = damaged + refused + dropped + self.lost;
         let place = self.link.place();
+        let topics: Vec<&str> = self.refused.iter().map(String::as_str).collect();
+        let refusal = match topics[..] {
+            [] => String::new(),
+            _ => format!("; the broker refuses {}", topics.join(", ")),
+        };
         self.hub.update_sink(SINK, |status| {
             status.good = good;
-            status.detail = format!("{place}: {detail}");
-            (status.sent, status.waiting, status.dropped) = (sent, waiting, dropped);
+            status.detail = format!("{place}: {detail}{refusal}");
+            (status.sent, status.waiting, status.dropped) = (sent, waiting, gone);
         });
     }
 
     /// Takes an event: sent at once where nothing waits before it, and kept on disk in any case.
     async fn take(&mut self, event: &Publication) {
         let topic = format!("{}/{}", event.axis, event.kind.name());
-        let at_once = self.connected && self.under_way.is_none() && self.lock_spool().is_empty();
+        let connected = self.connected_since.is_some();
+        let at_once = connected && self.under_way.is_none() && self.counts.waiting == 0;
         if at_once {
             self.publish(&topic, event.json.clone(), QoS::AtLeastOnce, false).await;
         }
-        let (spool, json) = (Arc::clone(&self.spool), event.json.clone());
-        let push = move || spool.lock().unwrap_or_else(PoisonError::into_inner).push(&topic, &json);
-        // The disk may be slow; the axes go on meanwhile.
-        let pushed =
-            tokio::task::spawn_blocking(push).await.unwrap_or_else(|error| Err(io::Error::other(error)));
-        match pushed {
-            Ok(number) if at_once && self.connected => self.under_way = Some((number, now() + CONFIRMATION)),
+        let (kept, json) = (topic.clone(), event.json.clone());
+        match self.at_disk(move |spool| spool.push(&kept, &json)).await {
+            Ok(number) if at_once && self.connected_since.is_some() => {
+                self.under_way = Some(UnderWay::new(number, topic));
+            }
             Ok(_) => {}
-            Err(error) => tracing::error!("an event cannot be kept for the broker: {error}"),
+            Err(error) => {
+                self.lost += 1;
+                self.warnings.warn(now(), &format!("an event cannot be kept for the broker: {error}"));
+            }
         }
-        self.tell(if self.connected { "connected" } else { "waiting for the broker" });
+        self.tell(if self.connected_since.is_some() { "connected" } else { "waiting for the broker" });
     }
 
     /// Sends the event that has waited longest, if none is under way.
     async fn send_next(&mut self) {
-        if !self.connected || self.under_way.is_some() {
+        if self.connected_since.is_none() || self.under_way.is_some() || self.counts.waiting == 0 {
             return;
         }
-        let first = self.lock_spool().first();
-        let Some((number, entry)) = first else { return };
-        self.under_way = Some((number, now() + CONFIRMATION));
+        let Ok(Some((number, entry))) = self.at_disk(|spool| Ok(spool.first())).await else { return };
+        self.under_way = Some(UnderWay::new(number, entry.topic.clone()));
         self.publish(&entry.topic, entry.message.get().to_owned(), QoS::AtLeastOnce, false).await;
     }
 
@@ -208,54 +259,97 @@ impl Broker {
         }
     }
 
-    fn heed(&mut self, told: Told) {
+    async fn heed(&mut self, told: Told) {
         match told {
             Told::Connected => {
-                self.connected = true;
-                self.wait = WAITS.0;
+                self.connected_since = Some(now());
                 self.told.clear();
                 tracing::info!("connected to the broker at {}", self.link.place());
                 self.greet();
                 self.tell("connected");
             }
             Told::Confirmed => {
-                if let Some((number, _)) = self.under_way.take() {
+                if let Some(event) = self.under_way.take() {
                     self.sent += 1;
-                    let removed = self.lock_spool().arrived(number);
+                    self.refused.remove(&event.topic);
+                    let removed = self.at_disk(move |spool| spool.arrived(event.number)).await;
                     if let Err(error) = removed {
-                        tracing::warn!(
-                            "an event that the broker has cannot be removed from the spool: {error}"
-                        );
+                        let what = "an event that the broker has cannot be removed from the spool";
+                        self.warnings.warn(now(), &format!("{what}: {error}"));
                     }
                 }
                 self.tell("connected");
             }
-            Told::Refused(why) => self.lose(&format!("the broker refuses an event: {why}")),
-            Told::Message(topic) => self.take_order(&topic),
-            Told::Lost(why) => self.lose(&why),
+            Told::Refused(why) => {
+                if let Some(event) = self.under_way.take() {
+                    self.set_aside(event, &why).await;
+                }
+                self.tell("connected");
+            }
+            Told::Unwilling(why) => self.lose(&format!("it takes no event now: {why}")),
+            Told::Message(message) => self.take_order(&message),
+            Told::Lost(why) => self.lose_over_event(&why).await,
         }
     }
 
-    fn take_order(&self, topic: &str) {
-        let rest = topic.strip_prefix(&self.link.config.prefix).and_then(|rest| rest.strip_prefix('/'));
-        let Some((axis, word)) = rest.and_then(|rest| rest.rsplit_once('/')) else { return };
-        let order = match word {
-            "acknowledge" => Order::Acknowledge,
-            "new_baseline" => Order::Renew,
+    fn take_order(&mut self, message: &Message) {
+        let rest = message.topic.strip_prefix(&self.link.config.prefix);
+        let rest = rest.and_then(|rest| rest.strip_prefix('/')).and_then(|rest| rest.rsplit_once('/'));
+        let (axis, order) = match rest {
+            Some((axis, "acknowledge")) => (axis, Order::Acknowledge),
+            Some((axis, "new_baseline")) => (axis, Order::Renew),
             _ => return,
         };
-        if let Err(not_taken) = self.hub.order(axis, order) {
-            tracing::warn!("{topic}: {not_taken}");
+        let fault = if message.retained {
+            "a retained message is no order, as it would be given again at each connection; clear it with an empty one".into()
+        } else if message.empty {
+            "an empty message is no order, as it clears a retained one".into()
+        } else if let Err(not_taken) = self.hub.order(axis, order) {
+            not_taken.to_string()
+        } else {
+            return;
+        };
+        self.warnings.warn(now(), &format!("{}: {fault}", message.topic));
+    }
+
+    /// Puts an event that the broker refuses out of the way of the others.
+    async fn set_aside(&mut self, event: UnderWay, why: &str) {
+        let UnderWay { number, topic, .. } = event;
+        let what =
+            format!("the broker refuses {topic}: {why}; the event is kept in the spool's folder `refused`");
+        self.warnings.warn(now(), &what);
+        self.refused.insert(topic);
+        if let Err(error) = self.at_disk(move |spool| spool.refuse(number)).await {
+            self.warnings.warn(now(), &format!("a refused event cannot be moved: {error}"));
         }
+    }
+
+    /// Gives the connection up, and after some losses in a row also the event that was under way.
+    async fn lose_over_event(&mut self, why: &str) {
+        if let Some(event) = self.under_way.take() {
+            let (number, times) = self.losses;
+            self.losses = (event.number, if number == event.number { times + 1 } else { 1 });
+            // After one of a topic the next are known by the first loss.
+            if self.losses.1 >= LOSSES || self.refused.contains(&event.topic) {
+                self.set_aside(event, why).await;
+                // What stood in the way is gone.
+                self.wait = WAITS.0;
+            }
+        }
+        self.lose(why);
     }
 
     /// Gives the connection up; another is tried after a while, a longer one each time.
     fn lose(&mut self, why: &str) {
-        if self.connected || self.wait == WAITS.0 {
-            tracing::warn!("the broker at {}: {why}", self.link.place());
+        if self.connected_since.is_some_and(|since| now().duration_since(since) >= STOOD) {
+            self.wait = WAITS.0;
+        }
+        if self.connected_since.is_some() || self.wait == WAITS.0 {
+            let what = format!("the broker at {}: {why}", self.link.place());
+            self.warnings.warn(now(), &what);
         }
         self.connection = None;
-        self.connected = false;
+        self.connected_since = None;
         self.under_way = None;
         self.retry_at = now() + self.wait;
         self.wait = (self.wait * 2).min(WAITS.1);
@@ -275,7 +369,7 @@ impl Broker {
     }
 
     async fn say_farewell(&mut self) {
-        if !self.connected {
+        if self.connected_since.is_none() {
             return;
         }
         let _ = timeout(FAREWELL, async {
@@ -300,4 +394,69 @@ async fn next_told(connection: &mut Option<Connection>) -> Option<Told> {
 
 fn now() -> Instant {
     crate::live::clock::instant()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::live::hub::Kind;
+
+    fn broker(folder: &Path) -> Broker {
+        Broker::new(&MqttConfig::default(), folder, Hub::new("test".into())).unwrap()
+    }
+
+    fn event(kind: Kind) -> Publication {
+        let json = String::from("{}");
+        Publication { kind, axis: "press".into(), t_ns: 0, event_json: json.clone(), json }
+    }
+
+    /// The connection is made, the first event sent, and then something told.
+    async fn send_and_hear(broker: &mut Broker, told: Told) {
+        broker.connected_since = Some(now());
+        broker.send_next().await;
+        broker.heed(told).await;
+    }
+
+    #[tokio::test]
+    async fn an_event_that_no_connection_survives_makes_way_for_the_next() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut broker = broker(folder.path());
+        for kind in [Kind::Cycle, Kind::Flag, Kind::Cycle, Kind::Flag] {
+            broker.take(&event(kind)).await;
+        }
+        let lost = || Told::Lost("closed".into());
+        for _ in 1..LOSSES {
+            send_and_hear(&mut broker, lost()).await;
+        }
+        // A broker that is away loses no event: nothing is under way then.
+        broker.heed(lost()).await;
+        assert_eq!((broker.counts.waiting, broker.counts.refused), (4, 0));
+        send_and_hear(&mut broker, lost()).await;
+        assert_eq!((broker.counts.waiting, broker.counts.refused), (3, 1));
+        send_and_hear(&mut broker, Told::Confirmed).await;
+        // The topic is known by now: one loss is enough. The flag behind it arrives.
+        send_and_hear(&mut broker, lost()).await;
+        assert_eq!((broker.counts.waiting, broker.counts.refused), (1, 2));
+        send_and_hear(&mut broker, Told::Confirmed).await;
+        assert_eq!((broker.counts.waiting, broker.sent), (0, 2));
+        assert_eq!(broker.refused, BTreeSet::from(["press/cycle".to_owned()]));
+    }
+
+    #[tokio::test]
+    async fn a_broker_that_has_no_room_is_waited_for_ever_longer() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut broker = broker(folder.path());
+        broker.take(&event(Kind::Flag)).await;
+        let mut waits = Vec::new();
+        for _ in 0..8 {
+            waits.push(broker.wait.as_millis());
+            send_and_hear(&mut broker, Told::Unwilling("QuotaExceeded".into())).await;
+        }
+        assert_eq!(waits, [500, 1000, 2000, 4000, 8000, 16_000, 30_000, 30_000]);
+        assert_eq!((broker.counts.waiting, broker.counts.refused), (1, 0));
+        // A connection that has stood was a good one.
+        broker.connected_since = Some(now() - STOOD);
+        broker.lose("closed");
+        assert_eq!(broker.wait, WAITS.0 * 2);
+    }
 }
