@@ -56,7 +56,8 @@ impl FrameDecoder {
     /// Finds the mapping's signals. A signal under its own name may be missing, unless it is the command.
     ///
     /// # Errors
-    /// One line: a signal has neither bits nor a DBC file that names it, or its bits are none of a frame.
+    /// One line: a signal has neither bits nor a DBC file that names it, its bits are none of a frame, or the counter is not in
+    /// the command's frame.
     pub fn new(
         mapping: Vec<(Signal, SignalMapping)>,
         counter: Option<&CounterMapping>,
@@ -81,6 +82,15 @@ impl FrameDecoder {
             .map(|counter| find("source.counter", &counter.field, counter.bits.as_ref(), dbc))
             .transpose()?
             .map(|source| Counter { source, last: None });
+        let command = wanted.iter().find(|wanted| wanted.signal == Signal::Command);
+        if let (Some(counter), Some(command)) = (&counter, command)
+            && counter.source.identifier != command.source.identifier
+        {
+            return Err(format!(
+                "source.counter is in the frame {}, signals.command in {}; name a counter of the command's own frame, which it times",
+                counter.source.identifier, command.source.identifier
+            ));
+        }
         let (held, counts) = (Sample::new(0), FrameCounts::default());
         Ok(FrameDecoder { wanted, counter, timeline: None, held, counts })
     }
@@ -247,6 +257,19 @@ mod tests {
         assert_eq!(decoder.take(&Frame::new(Identifier::Extended(0x123), Content::Data), b"", 0), None);
         let counts = decoder.counts();
         assert_eq!((counts.given, counts.too_short, counts.remote, counts.error), (0, 1, 1, 1));
+    }
+
+    #[test]
+    fn a_counter_of_another_frame_is_refused() {
+        let command = SignalMapping { bits: Some(bits(0, 16, Encoding::Signed)), ..SignalMapping::default() };
+        let elsewhere = BitsMapping { id: 0x124, ..bits(16, 8, Encoding::Unsigned) };
+        let counter = CounterMapping { bits: Some(elsewhere), ..CounterMapping::default() };
+        let message =
+            FrameDecoder::new(vec![(Signal::Command, command)], Some(&counter), None).err().unwrap();
+        assert!(
+            message.starts_with("source.counter is in the frame 124, signals.command in 123"),
+            "{message}"
+        );
     }
 
     #[test]
