@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use crate::alarm::AlarmConfig;
 use crate::baseline::{LEAST_CYCLES, MOST_CYCLES};
 use crate::failure::{Code, Failure};
+use crate::source::fields::FieldTree;
 
 pub use live::{
     BitsMapping, CanOutConfig, CanOutField, CanValue, CounterMapping, HttpConfig, MqttConfig, MqttVersion,
@@ -235,6 +236,7 @@ impl Config {
                 ));
             }
         }
+        self.check_fields()?;
         let learned = self.baseline.learn_cycles;
         if learned != 0 && !(LEAST_CYCLES..=MOST_CYCLES).contains(&learned) {
             return Err(format!(
@@ -244,6 +246,15 @@ impl Config {
         self.check_duty_cycles()?;
         self.source.check()?;
         self.alarm.check()
+    }
+
+    /// Whether the fields of each topic can be looked for together.
+    fn check_fields(&self) -> Result<(), String> {
+        for mapping in self.signals.values() {
+            let of_topic = self.signals.iter().filter(|(_, other)| other.topic == mapping.topic);
+            FieldTree::of(of_topic.map(|(signal, mapping)| (*signal, mapping)))?;
+        }
+        Ok(())
     }
 
     fn check_duty_cycles(&self) -> Result<(), String> {

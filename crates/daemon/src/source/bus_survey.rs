@@ -7,10 +7,8 @@ use crate::can::dbc::{CanSignal, Dbc, Reading};
 use crate::can::{Content, Frame, Identifier};
 use crate::config::BitsMapping;
 
-use super::survey::TopicSurvey;
+use super::survey::{TOPICS_KEPT, TopicSurvey};
 
-/// Interfaces and identifiers that are told apart; a bus has a few hundred.
-const TOPICS_KEPT: usize = 4096;
 /// Size of the fields that are tried where no DBC file names any, bits.
 const FIELD_BITS: usize = 16;
 /// Mean step from frame to frame, as a share of the range, over which a field is no measured quantity.

@@ -1,43 +1,76 @@
-//! Picks the mapped fields out of a JSON message without building the message.
-
-use std::fmt;
+//! Which fields of a message are wanted, and what was found of them.
+//!
+//! A message is shown to a [`FieldVisitor`] part by part, and what nobody asks for is passed over: no message is built, so
+//! that none can take more memory than its own bytes.
 
 use seepd_signals::Signal;
-use serde::Deserializer;
-use serde::de::{DeserializeSeed, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use crate::config::SignalMapping;
 
-/// What a field is for.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Target {
-    /// A signal, with scale and offset to SI.
-    Signal {
-        /// The signal.
-        signal: Signal,
-        /// Factor.
-        scale: f64,
-        /// Added after the factor.
-        offset: f64,
-    },
-    /// The time, or a part of it: so many ns a unit.
-    Time {
-        /// Nanoseconds in the field's unit.
-        unit_ns: f64,
-    },
+/// Parts of a field path that are followed; real ones have five or so.
+pub const DEEPEST: usize = 32;
+
+/// A part of a field path.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Step<'s> {
+    /// A field's name, or a map's key.
+    Key(&'s str),
+    /// An element of an array.
+    Index(usize),
 }
 
-/// A field path's part.
+/// What is shown a message's numbers, from its top down.
+pub trait FieldVisitor {
+    /// Goes down a step; `false`, and stays, where nothing below it is wanted.
+    fn enter(&mut self, step: Step<'_>) -> bool;
+
+    /// Goes back up.
+    fn leave(&mut self);
+
+    /// A number here.
+    ///
+    /// # Errors
+    /// One line: it cannot be what it is wanted for.
+    fn number(&mut self, value: f64) -> Result<(), String>;
+
+    /// A text here.
+    ///
+    /// # Errors
+    /// One line: a number is wanted here.
+    fn text(&mut self, text: &str) -> Result<(), String>;
+}
+
+/// What a field is for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Target {
+    /// A signal, with scale and offset to SI.
+    Signal { signal: Signal, scale: f64, offset: f64 },
+    /// The time in seconds, or a stamp's seconds.
+    Seconds,
+    /// A stamp's nanoseconds.
+    Nanoseconds,
+}
+
 #[derive(Debug, Clone, PartialEq)]
-enum Step {
+enum OwnedStep {
     Key(String),
     Index(usize),
+}
+
+impl OwnedStep {
+    fn is(&self, step: Step<'_>) -> bool {
+        match (self, step) {
+            (OwnedStep::Key(own), Step::Key(other)) => own == other,
+            (OwnedStep::Index(own), Step::Index(other)) => *own == other,
+            _ => false,
+        }
+    }
 }
 
 /// The fields that are wanted of a message, as a tree along their paths.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct FieldTree {
-    children: Vec<(Step, FieldTree)>,
+    children: Vec<(OwnedStep, FieldTree)>,
     targets: Vec<Target>,
 }
 
@@ -46,28 +79,66 @@ pub struct FieldTree {
 pub struct Picked {
     /// Signals in SI.
     pub values: Vec<(Signal, f64)>,
-    /// Time, ns.
-    pub time_ns: Option<i64>,
+    seconds_ns: Option<i64>,
+    nanoseconds_ns: Option<i64>,
+}
+
+impl Picked {
+    /// Time, ns, where the message holds it.
+    pub fn time_ns(&self) -> Option<i64> {
+        let parts = [self.seconds_ns, self.nanoseconds_ns];
+        parts.into_iter().flatten().reduce(i64::saturating_add)
+    }
+
+    fn clear(&mut self) {
+        self.values.clear();
+        (self.seconds_ns, self.nanoseconds_ns) = (None, None);
+    }
 }
 
 impl FieldTree {
     /// The tree of a topic's mappings.
-    pub fn of<'c>(mappings: impl Iterator<Item = (Signal, &'c SignalMapping)>) -> Self {
+    ///
+    /// # Errors
+    /// One line: a path is too deep, or two of the mappings find the message's one time in two places.
+    pub fn of<'c>(mappings: impl Iterator<Item = (Signal, &'c SignalMapping)>) -> Result<Self, String> {
         let mut tree = FieldTree::default();
+        let mut timed: Option<(Signal, &str)> = None;
         for (signal, mapping) in mappings {
-            tree.add(&mapping.field, Target::Signal { signal, scale: mapping.scale, offset: mapping.offset });
-            if !mapping.time.is_empty() {
-                tree.add(&mapping.time, Target::Time { unit_ns: 1e9 });
-                // A stamp of seconds and nanoseconds, as ROS and protobuf have it.
-                for (part, unit_ns) in [("sec", 1e9), ("seconds", 1e9), ("nanosec", 1.0), ("nanos", 1.0)] {
-                    tree.add(&format!("{}.{part}", mapping.time), Target::Time { unit_ns });
-                }
+            let key = format!("signals.{}", signal.name());
+            let (scale, offset) = (mapping.scale, mapping.offset);
+            tree.add(&format!("{key}.field"), &mapping.field, Target::Signal { signal, scale, offset })?;
+            if mapping.time.is_empty() {
+                continue;
+            }
+            let (first, time) = *timed.get_or_insert((signal, &mapping.time));
+            if time != mapping.time {
+                return Err(format!(
+                    "{key}.time is `{}`, but signals.{}.time, on the same topic, is `{time}`; a message has one time: name it once",
+                    mapping.time,
+                    first.name()
+                ));
+            }
+            // A number of seconds, or a stamp of seconds and nanoseconds, as ROS and protobuf have it.
+            let key = format!("{key}.time");
+            tree.add(&key, time, Target::Seconds)?;
+            for (part, target) in [
+                ("sec", Target::Seconds),
+                ("seconds", Target::Seconds),
+                ("nanosec", Target::Nanoseconds),
+                ("nanos", Target::Nanoseconds),
+            ] {
+                tree.add(&key, &format!("{time}.{part}"), target)?;
             }
         }
-        tree
+        Ok(tree)
     }
 
-    fn add(&mut self, path: &str, target: Target) {
+    fn add(&mut self, key: &str, path: &str, target: Target) -> Result<(), String> {
+        let depth = steps(path).count();
+        if depth > DEEPEST {
+            return Err(format!("{key} is a path of {depth} parts; {DEEPEST} are followed"));
+        }
         let mut node = self;
         for step in steps(path) {
             let at = match node.children.iter().position(|(known, _)| *known == step) {
@@ -82,169 +153,88 @@ impl FieldTree {
         if !node.targets.contains(&target) {
             node.targets.push(target);
         }
+        Ok(())
     }
 
-    /// Picks the fields out of a JSON message into `picked`, which is emptied first.
-    ///
-    /// # Errors
-    /// The message is not JSON, or a wanted field is not a number.
-    pub fn pick(&self, json: &[u8], picked: &mut Picked) -> Result<(), serde_json::Error> {
-        picked.values.clear();
-        picked.time_ns = None;
-        let mut deserializer = serde_json::Deserializer::from_slice(json);
-        Node { tree: self, picked }.deserialize(&mut deserializer)?;
-        deserializer.end()
+    /// What puts the wanted fields of a message into `picked`, which is emptied first.
+    pub fn picker<'t>(&'t self, picked: &'t mut Picked) -> Picker<'t> {
+        picked.clear();
+        Picker { path: [self; DEEPEST + 1], depth: 0, picked }
     }
 
-    /// Picks the fields out of a decoded message into `picked`, which is emptied first.
-    ///
-    /// # Errors
-    /// A wanted field is not a number.
-    pub fn pick_value(
-        &self,
-        value: &serde_json::Value,
-        picked: &mut Picked,
-    ) -> Result<(), serde_json::Error> {
-        picked.values.clear();
-        picked.time_ns = None;
-        Node { tree: self, picked }.deserialize(value)
+    /// Whether the command is wanted of these messages.
+    pub fn wants_command(&self) -> bool {
+        let is_command = |target: &Target| matches!(target, Target::Signal { signal: Signal::Command, .. });
+        self.targets.iter().any(is_command) || self.children.iter().any(|(_, child)| child.wants_command())
     }
 }
 
 /// `a.b[2].c` → a, b, 2, c.
-fn steps(path: &str) -> Vec<Step> {
-    path.split(['.', '['])
-        .filter(|part| !part.is_empty())
-        .map(|part| match part.strip_suffix(']').and_then(|index| index.parse().ok()) {
-            Some(index) => Step::Index(index),
-            None => Step::Key(part.to_owned()),
-        })
-        .collect()
+fn steps(path: &str) -> impl Iterator<Item = OwnedStep> {
+    path.split(['.', '[']).filter(|part| !part.is_empty()).map(|part| {
+        match part.strip_suffix(']').and_then(|index| index.parse().ok()) {
+            Some(index) => OwnedStep::Index(index),
+            None => OwnedStep::Key(part.to_owned()),
+        }
+    })
 }
 
-/// A node of the tree over a value of the message.
-struct Node<'t, 'p> {
-    tree: &'t FieldTree,
-    picked: &'p mut Picked,
+/// Picks a tree's fields out of a message.
+pub struct Picker<'t> {
+    /// From the tree's root to the place at hand; what lies beyond `depth` means nothing.
+    path: [&'t FieldTree; DEEPEST + 1],
+    depth: usize,
+    picked: &'t mut Picked,
 }
 
-impl Node<'_, '_> {
-    fn take<E>(self, value: f64) -> Result<(), E> {
-        for target in &self.tree.targets {
+impl FieldVisitor for Picker<'_> {
+    fn enter(&mut self, step: Step<'_>) -> bool {
+        let child = self.path[self.depth].children.iter().find(|(known, _)| known.is(step));
+        // A tree is no deeper than the path has room for.
+        let (Some((_, tree)), Some(place)) = (child, self.path.get_mut(self.depth + 1)) else { return false };
+        *place = tree;
+        self.depth += 1;
+        true
+    }
+
+    fn leave(&mut self) {
+        self.depth = self.depth.saturating_sub(1);
+    }
+
+    fn number(&mut self, value: f64) -> Result<(), String> {
+        for target in &self.path[self.depth].targets {
             match target {
                 Target::Signal { signal, scale, offset } => {
                     self.picked.values.push((*signal, value * scale + offset));
                 }
-                Target::Time { unit_ns } => {
-                    let part = (value * unit_ns).round() as i64;
-                    self.picked.time_ns = Some(self.picked.time_ns.unwrap_or(0).saturating_add(part));
-                }
+                _ if !value.is_finite() => return Err("the time is not a number".into()),
+                Target::Seconds => self.picked.seconds_ns = Some((value * 1e9).round() as i64),
+                Target::Nanoseconds => self.picked.nanoseconds_ns = Some(value.round() as i64),
             }
         }
         Ok(())
     }
-}
 
-impl<'de> DeserializeSeed<'de> for Node<'_, '_> {
-    type Value = ();
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_any(self)
-    }
-}
-
-impl<'de> Visitor<'de> for Node<'_, '_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a message with the mapped fields as numbers")
-    }
-
-    fn visit_f64<E>(self, value: f64) -> Result<(), E> {
-        self.take(value)
-    }
-
-    fn visit_i64<E>(self, value: i64) -> Result<(), E> {
-        self.take(value as f64)
-    }
-
-    fn visit_u64<E>(self, value: u64) -> Result<(), E> {
-        self.take(value as f64)
-    }
-
-    fn visit_bool<E>(self, value: bool) -> Result<(), E> {
-        self.take(f64::from(u8::from(value)))
-    }
-
-    /// JSON has no NaN; writers put null in its place.
-    fn visit_unit<E>(self) -> Result<(), E> {
-        self.take(f64::NAN)
-    }
-
-    fn visit_str<E: Error>(self, text: &str) -> Result<(), E> {
+    fn text(&mut self, text: &str) -> Result<(), String> {
+        if self.path[self.depth].targets.is_empty() {
+            return Ok(());
+        }
         match text.parse() {
-            Ok(value) => self.take(value),
-            Err(_) if self.tree.targets.is_empty() => Ok(()),
-            Err(_) => Err(E::custom(format_args!("`{text}` is not a number"))),
-        }
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
-        while let Some(child) = map.next_key_seed(KeyOf(self.tree))? {
-            match child {
-                Some(tree) => map.next_value_seed(Node { tree, picked: self.picked })?,
-                None => {
-                    map.next_value::<IgnoredAny>()?;
-                }
+            Ok(value) => self.number(value),
+            Err(_) => {
+                let begin: String = text.chars().take(40).collect();
+                Err(format!("`{begin}` is not a number"))
             }
         }
-        Ok(())
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
-        for index in 0.. {
-            let child = self.tree.children.iter().find(|(step, _)| *step == Step::Index(index));
-            let more = match child {
-                Some((_, tree)) => seq.next_element_seed(Node { tree, picked: self.picked })?.is_some(),
-                None => seq.next_element::<IgnoredAny>()?.is_some(),
-            };
-            if !more {
-                break;
-            }
-        }
-        Ok(())
-    }
-}
-
-/// A message's key, as the child of the tree that it leads to.
-struct KeyOf<'t>(&'t FieldTree);
-
-impl<'de, 't> DeserializeSeed<'de> for KeyOf<'t> {
-    type Value = Option<&'t FieldTree>;
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Self::Value, D::Error> {
-        deserializer.deserialize_str(self)
-    }
-}
-
-impl<'t> Visitor<'_> for KeyOf<'t> {
-    type Value = Option<&'t FieldTree>;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a key")
-    }
-
-    fn visit_str<E>(self, key: &str) -> Result<Self::Value, E> {
-        let child = self.0.children.iter().find(|(step, _)| matches!(step, Step::Key(known) if known == key));
-        Ok(child.map(|(_, tree)| tree))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::source::json;
 
-    fn tree(mappings: &[(Signal, SignalMapping)]) -> FieldTree {
+    fn tree(mappings: &[(Signal, SignalMapping)]) -> Result<FieldTree, String> {
         FieldTree::of(mappings.iter().map(|(signal, mapping)| (*signal, mapping)))
     }
 
@@ -252,26 +242,70 @@ mod tests {
         SignalMapping { field: field.into(), scale, time: time.into(), ..SignalMapping::default() }
     }
 
+    fn pick(tree: &FieldTree, json: &[u8], picked: &mut Picked) -> Result<(), String> {
+        json::visit(json, &mut tree.picker(picked))
+    }
+
     #[test]
     fn nested_paths_and_indices_are_scaled() {
         let tree = tree(&[
             (Signal::Command, mapping("axis.valve[1]", 0.01, "stamp")),
             (Signal::PCap, mapping("axis.p", 1e5, "")),
-        ]);
+        ])
+        .unwrap();
         let mut picked = Picked::default();
-        tree.pick(br#"{"x":[1,{"y":2}],"stamp":7.5,"axis":{"valve":[3,25,4],"p":80}}"#, &mut picked).unwrap();
+        let json = br#"{"x":[1,{"y":2}],"stamp":7.5,"axis":{"valve":[3,25,4],"p":80}}"#;
+        pick(&tree, json, &mut picked).unwrap();
         assert_eq!(picked.values, [(Signal::Command, 0.25), (Signal::PCap, 8e6)]);
-        assert_eq!(picked.time_ns, Some(7_500_000_000));
+        assert_eq!(picked.time_ns(), Some(7_500_000_000));
+        assert!(tree.wants_command());
     }
 
     #[test]
     fn null_is_not_a_number_and_text_is_refused() {
-        let tree = tree(&[(Signal::Command, mapping("command", 1.0, ""))]);
+        let tree = tree(&[(Signal::Command, mapping("command", 1.0, ""))]).unwrap();
         let mut picked = Picked::default();
-        tree.pick(br#"{"command":null}"#, &mut picked).unwrap();
+        pick(&tree, br#"{"command":null}"#, &mut picked).unwrap();
         assert!(picked.values[0].1.is_nan());
-        let error = tree.pick(br#"{"command":"fast"}"#, &mut picked).unwrap_err();
-        assert!(error.to_string().contains("`fast` is not a number"));
-        assert!(tree.pick(b"{\"command\":0.1", &mut picked).is_err());
+        let error = pick(&tree, br#"{"command":"fast"}"#, &mut picked).unwrap_err();
+        assert!(error.contains("`fast` is not a number"), "{error}");
+        assert!(pick(&tree, b"{\"command\":0.1", &mut picked).is_err());
+    }
+
+    #[test]
+    fn a_message_has_one_time() {
+        let two = [
+            (Signal::Command, mapping("command", 1.0, "stamp")),
+            (Signal::Position, mapping("position", 1.0, "received")),
+        ];
+        let error = tree(&two).unwrap_err();
+        assert_eq!(
+            error,
+            "signals.position.time is `received`, but signals.command.time, on the same topic, is `stamp`; a message has one time: \
+             name it once"
+        );
+        // Said twice, by a mapping and by a message, it is still one.
+        let same = [two[0].clone(), (Signal::Position, mapping("position", 1.0, "stamp"))];
+        let mut picked = Picked::default();
+        pick(&tree(&same).unwrap(), br#"{"stamp":1.5,"command":0,"stamp":1.5}"#, &mut picked).unwrap();
+        assert_eq!(picked.time_ns(), Some(1_500_000_000));
+        pick(&tree(&same).unwrap(), br#"{"stamp":{"sec":3,"nanosec":7}}"#, &mut picked).unwrap();
+        assert_eq!(picked.time_ns(), Some(3_000_000_007));
+        let error = pick(&tree(&same).unwrap(), br#"{"stamp":null,"command":0}"#, &mut picked).unwrap_err();
+        assert!(error.contains("the time is not a number"), "{error}");
+    }
+
+    #[test]
+    fn a_path_of_200_000_parts_is_refused() {
+        let deep = [(Signal::Command, mapping(&"a.".repeat(200_000), 1.0, ""))];
+        assert_eq!(
+            tree(&deep).unwrap_err(),
+            "signals.command.field is a path of 200000 parts; 32 are followed"
+        );
+        let fits = [(Signal::Command, mapping(&["a"; DEEPEST].join("."), 1.0, ""))];
+        let json = format!("{}1{}", r#"{"a":"#.repeat(DEEPEST), "}".repeat(DEEPEST));
+        let mut picked = Picked::default();
+        pick(&tree(&fits).unwrap(), json.as_bytes(), &mut picked).unwrap();
+        assert_eq!(picked.values, [(Signal::Command, 1.0)]);
     }
 }

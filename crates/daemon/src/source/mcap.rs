@@ -1,55 +1,55 @@
 //! Samples from an MCAP log: JSON, protobuf or CDR messages, one signal a message or many.
 
-use std::collections::BTreeMap;
 use std::io::{Read, Seek};
 
 use mcap::records::op;
 use seepd_signals::{Sample, Signal};
 
 use super::Source;
-use super::decode::Decoder;
-use super::fields::{FieldTree, Picked};
-use super::mcap_file::{ChannelRecord, McapFile, SchemaRecord};
+use super::channels::Channels;
+use super::fields::Picked;
+use super::mcap_file::McapFile;
 use crate::config::SignalMapping;
 use crate::failure::{Code, Failure};
 
-/// Ending of the topics that are read when no mapping names one.
-const DEFAULT_TOPIC_ENDING: &str = "/signals";
 /// Message header: channel, sequence, log time, publish time.
 pub(crate) const MESSAGE_HEADER_BYTES: usize = 2 + 4 + 8 + 8;
-
-/// The ending of a mapping's topics, where it does not name one.
-fn topic_ending(mapping: &SignalMapping) -> Option<&str> {
-    if mapping.topic.is_empty() { Some(DEFAULT_TOPIC_ENDING) } else { mapping.topic.strip_prefix('*') }
-}
-
-/// What is known of a channel.
-struct Channel {
-    topic: String,
-    encoding: String,
-    messages: u64,
-    /// How its messages are decoded and which fields are wanted of them, if any.
-    wanted: Option<(Decoder, FieldTree)>,
-}
 
 /// See the [module](self).
 pub struct McapSource<R> {
     name: String,
     file: McapFile<R>,
-    mapping: Vec<(Signal, SignalMapping)>,
-    schemas: BTreeMap<u16, SchemaRecord>,
-    channels: BTreeMap<u16, Channel>,
+    channels: Channels,
     picked: Picked,
     /// The record at hand.
-    message: Vec<u8>,
+    record: Vec<u8>,
     /// The newest value of each signal: a command is published with what was known beside it.
     held: Sample,
-    unreadable: u64,
-    first_unreadable: Option<String>,
+    unreadable: LeftOut,
+    without_command: LeftOut,
     given: u64,
-    /// Messages of channels that are announced nowhere.
-    unannounced: u64,
     summary_asked: bool,
+}
+
+/// Messages of which no use is made.
+#[derive(Default)]
+struct LeftOut {
+    count: u64,
+    first: String,
+}
+
+impl LeftOut {
+    fn add(&mut self, first: impl FnOnce() -> String) {
+        if self.count == 0 {
+            self.first = first();
+        }
+        self.count += 1;
+    }
+
+    fn note(&self, what: &str) -> Option<String> {
+        let LeftOut { count, first } = self;
+        (*count > 0).then(|| format!("{count} messages left out {what}, the first {first}"))
+    }
 }
 
 impl<R: Read + Seek> McapSource<R> {
@@ -63,72 +63,28 @@ impl<R: Read + Seek> McapSource<R> {
         Ok(McapSource {
             name: name.into(),
             file,
-            mapping,
-            schemas: BTreeMap::new(),
-            channels: BTreeMap::new(),
+            channels: Channels::new(name, mapping),
             picked: Picked::default(),
-            message: Vec::new(),
+            record: Vec::new(),
             held: Sample::new(0),
-            unreadable: 0,
-            first_unreadable: None,
+            unreadable: LeftOut::default(),
+            without_command: LeftOut::default(),
             given: 0,
-            unannounced: 0,
             summary_asked: false,
         })
     }
 
-    fn add_channel(&mut self, channel: ChannelRecord) -> Result<(), Failure> {
-        let ChannelRecord { id, schema_id, topic, encoding } = channel;
-        if self.channels.contains_key(&id) {
-            return Ok(());
-        }
-        let wanted = |mapping: &&(Signal, SignalMapping)| {
-            topic_ending(&mapping.1).map_or(mapping.1.topic == topic, |ending| topic.ends_with(ending))
-        };
-        let mappings: Vec<_> = self.mapping.iter().filter(wanted).collect();
-        let by_ending = mappings.iter().any(|mapping| topic_ending(&mapping.1).is_some());
-        let other =
-            self.channels.values().find(|other| by_ending && other.wanted.is_some() && other.topic != topic);
-        if let Some(other) = other {
-            return Err(Failure::data(format!(
-                "{}: holds several axes, {} and {topic}; choose one with --topic",
-                self.name, other.topic
-            )));
-        }
-        let mut wanted = None;
-        if !mappings.is_empty() {
-            let decoder = Decoder::new(&encoding, self.schemas.get(&schema_id))
-                .map_err(|what| Failure::data(format!("{}: topic {topic} {what}", self.name)))?;
-            let fields = FieldTree::of(mappings.iter().map(|mapping| (mapping.0, &mapping.1)));
-            wanted = Some((decoder, fields));
-        }
-        self.channels.insert(id, Channel { topic, encoding, messages: 0, wanted });
-        Ok(())
-    }
-
     /// The error for a log in which nothing matched.
     fn nothing_matched(&self) -> Failure {
-        let mut listed: Vec<String> = self
-            .channels
-            .values()
-            .map(|channel| format!("{} ({}, {} messages)", channel.topic, channel.encoding, channel.messages))
-            .collect();
-        if self.unannounced > 0 {
-            listed.push(format!("{} messages of topics that it does not name", self.unannounced));
-        }
-        let listed = if listed.is_empty() { "no topics at all".to_owned() } else { listed.join(", ") };
-        let command =
-            self.mapping.iter().find(|(signal, _)| *signal == Signal::Command).map(|(_, mapping)| mapping);
-        let wanted = match command {
-            Some(m) => match topic_ending(m) {
-                Some(ending) => format!("`{}` on a topic that ends in {ending}", m.field),
-                None => format!("`{}` on topic {}", m.field, m.topic),
-            },
-            None => "a command: the mapping has none".into(),
-        };
-        let damage = self.file.damage.notes().join("; ");
-        let damage = if damage.is_empty() { damage } else { format!(" ({damage})") };
-        Failure::data(format!("{}: no message has {wanted}; the log holds {listed}{damage}", self.name))
+        let why: Vec<String> = self.file.damage.notes().into_iter().chain(self.left_out()).collect();
+        let why = if why.is_empty() { String::new() } else { format!(" ({})", why.join("; ")) };
+        let (wanted, listed) = (self.channels.wanted(), self.channels.listed());
+        Failure::data(format!("{}: no message has {wanted}; the log holds {listed}{why}", self.name))
+    }
+
+    fn left_out(&self) -> impl Iterator<Item = String> {
+        let unreadable = self.unreadable.note("as unreadable");
+        unreadable.into_iter().chain(self.without_command.note("that hold no command"))
     }
 
     fn io(&self, error: &std::io::Error) -> Failure {
@@ -139,28 +95,24 @@ impl<R: Read + Seek> McapSource<R> {
     #[cold]
     fn ask_summary(&mut self) -> Result<(), Failure> {
         self.summary_asked = true;
-        let found = self.file.summary_channels().map_err(|error| self.io(&error))?;
-        self.schemas.extend(found.schemas.into_iter().map(|schema| (schema.id, schema)));
-        for channel in found.channels {
-            self.add_channel(channel)?;
-        }
-        Ok(())
+        let mut result = Ok(());
+        let channels = &mut self.channels;
+        let read = self.file.each_in_summary(|opcode, content| {
+            if result.is_ok() {
+                result = channels.take_announcement(opcode, content);
+            }
+        });
+        read.map_err(|error| self.io(&error))?;
+        result
     }
 
-    /// The sample that the message in `self.message` completes, if it holds a command.
+    /// The sample that the message at hand completes, if it holds a command.
     fn take_message(&mut self) -> Option<Sample> {
-        let (header, data) = self.message.split_at_checked(MESSAGE_HEADER_BYTES)?;
-        let Some(channel) = self.channels.get_mut(&channel_id(header)) else {
-            self.unannounced += 1;
-            return None;
-        };
-        channel.messages += 1;
-        let (decoder, fields) = channel.wanted.as_ref()?;
+        let (header, data) = self.record.split_at_checked(MESSAGE_HEADER_BYTES)?;
+        let channel = self.channels.of_message(channel_id(header))?;
         let log_time_ns = log_time_ns(header);
-        let picked = &mut self.picked;
-        if let Err(error) = decoder.pick(fields, data, picked) {
-            self.unreadable += 1;
-            self.first_unreadable.get_or_insert_with(|| format!("at {log_time_ns} ns: {error}"));
+        if let Err(error) = channel.decoder.pick(&channel.fields, data, &mut self.picked) {
+            self.unreadable.add(|| format!("at {log_time_ns} ns: {error}"));
             return None;
         }
         let mut has_command = false;
@@ -168,9 +120,15 @@ impl<R: Read + Seek> McapSource<R> {
             self.held.set(*signal, *value);
             has_command |= *signal == Signal::Command;
         }
-        self.held.time_ns = self.picked.time_ns.unwrap_or(log_time_ns);
-        self.given += u64::from(has_command);
-        has_command.then_some(self.held)
+        if !has_command {
+            if channel.has_command {
+                self.without_command.add(|| format!("at {log_time_ns} ns"));
+            }
+            return None;
+        }
+        self.held.time_ns = self.picked.time_ns().unwrap_or(log_time_ns);
+        self.given += 1;
+        Some(self.held)
     }
 }
 
@@ -188,47 +146,26 @@ pub(crate) fn log_time_ns(message: &[u8]) -> i64 {
 impl<R: Read + Seek> Source for McapSource<R> {
     fn next_sample(&mut self) -> Result<Option<Sample>, Failure> {
         loop {
-            match self.file.next_record(&mut self.message) {
+            match self.file.next_record(&mut self.record) {
                 Err(error) => return Err(self.io(&error)),
                 Ok(None) if self.given == 0 => return Err(self.nothing_matched()),
                 Ok(None) => return Ok(None),
-                Ok(Some(op::MESSAGE)) if self.message.len() >= MESSAGE_HEADER_BYTES => {
-                    if !self.summary_asked && !self.channels.contains_key(&channel_id(&self.message)) {
+                Ok(Some(op::MESSAGE)) if self.record.len() >= MESSAGE_HEADER_BYTES => {
+                    if !self.summary_asked && !self.channels.is_announced(channel_id(&self.record)) {
                         self.ask_summary()?;
                     }
                     if let Some(sample) = self.take_message() {
                         return Ok(Some(sample));
                     }
                 }
-                Ok(Some(op::SCHEMA)) => {
-                    self.schemas.extend(SchemaRecord::parse(&self.message).map(|schema| (schema.id, schema)));
-                }
-                Ok(Some(op::CHANNEL)) => {
-                    if let Some(channel) = ChannelRecord::parse(&self.message) {
-                        self.add_channel(channel)?;
-                    }
-                }
-                Ok(Some(_)) => {}
+                Ok(Some(opcode)) => self.channels.take_announcement(opcode, &self.record)?,
             }
         }
     }
 
     fn notes(&self) -> Vec<String> {
-        let mut notes: Vec<String> =
-            self.file.damage.notes().into_iter().map(|note| format!("{}: {note}", self.name)).collect();
-        if self.unannounced > 0 {
-            notes.push(format!(
-                "{}: {} messages of topics that it does not name",
-                self.name, self.unannounced
-            ));
-        }
-        if self.unreadable > 0 {
-            let first = self.first_unreadable.as_deref().unwrap_or_default();
-            notes.push(format!(
-                "{}: {} messages left out as unreadable, the first {first}",
-                self.name, self.unreadable
-            ));
-        }
-        notes
+        let damage = self.file.damage.notes().into_iter();
+        let notes = damage.chain(self.channels.note()).chain(self.left_out());
+        notes.map(|note| format!("{}: {note}", self.name)).collect()
     }
 }

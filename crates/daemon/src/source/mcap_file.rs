@@ -1,18 +1,24 @@
 //! The records of an MCAP file, as many as its damages leave.
 //!
-//! The `mcap` crate decodes chunks, one at a time and checked by their CRC before use, so that a damaged chunk costs
-//! itself alone. The walk from record to record is ours: it goes on after a damaged chunk, finds the next one
-//! after a damaged length, and reads a chunk that was cut short as far as it goes.
+//! The walk goes on after a damaged chunk, finds the next one after a damaged length, and reads a chunk that was cut short
+//! as far as it goes. Chunks are checked by their CRC before use, so that a damaged one costs itself alone, and unpacked as a
+//! stream, twice: whatever a file says of its sizes, what is held of it is one packed chunk and one record.
 
-use std::io::{self, BufReader, Read, Seek, SeekFrom};
+use std::collections::BTreeMap;
+use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom, Take};
 
 use mcap::records::op;
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use super::kind::MCAP_MAGIC;
 
-/// Longest record that is believed, bytes: chunks are a few MiB; a flipped bit in a length says petabytes.
-const MAX_RECORD_BYTES: u64 = 64 << 20;
+/// Longest chunk that is believed, bytes as it is packed: they are a few MiB; a flipped bit in a length says petabytes.
+const LONGEST_CHUNK: u64 = 32 << 20;
+/// Longest chunk that is unpacked, bytes.
+const LONGEST_UNPACKED: u64 = 256 << 20;
+/// Longest other record that is held, bytes; longer ones are pictures and attachments, and passed over.
+const LONGEST_RECORD: u64 = 8 << 20;
+/// Largest window of a zstd frame, as a power of two: 8 MiB, which compression up to level 19 stays in.
+const ZSTD_WINDOW_LOG: u32 = 23;
 /// Opcode and length before each record.
 const PREFIX_BYTES: u64 = 9;
 
@@ -30,9 +36,16 @@ pub struct Damage {
     pub skipped_bytes: u64,
     /// Byte at which the file ends too early.
     pub cut_at: Option<u64>,
+    /// Messages that are longer than what is held.
+    pub passed_over: u64,
 }
 
 impl Damage {
+    fn chunk_at(&mut self, begin: u64) {
+        self.chunks += 1;
+        self.first_at.get_or_insert(begin);
+    }
+
     /// What was damaged, one line each.
     pub fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
@@ -45,6 +58,10 @@ impl Damage {
                 "{} damaged chunks and {} damaged bytes between them left out, the first at byte {at}",
                 self.chunks, self.skipped_bytes
             ));
+        }
+        if self.passed_over > 0 {
+            let (count, longest) = (self.passed_over, LONGEST_RECORD >> 20);
+            notes.push(format!("{count} messages longer than {longest} MiB passed over"));
         }
         notes
     }
@@ -89,13 +106,10 @@ impl<R: Read + Seek> McapFile<R> {
     pub fn next_record(&mut self, record: &mut Vec<u8>) -> io::Result<Option<u8>> {
         loop {
             if let Some(chunk) = &mut self.chunk {
-                match chunk.next_record(record) {
-                    Some(Ok(opcode)) => return Ok(Some(opcode)),
-                    Some(Err(_)) if !chunk.cut => {
-                        self.damage.chunks += 1;
-                        self.damage.first_at.get_or_insert(chunk.begin);
-                    }
-                    Some(Err(_)) | None => {}
+                match chunk.next_record(record, &mut self.damage) {
+                    Ok(Some(opcode)) => return Ok(Some(opcode)),
+                    Err(_) if !chunk.cut => self.damage.chunk_at(chunk.begin),
+                    Err(_) | Ok(None) => {}
                 }
                 self.chunk = None;
             }
@@ -118,15 +132,17 @@ impl<R: Read + Seek> McapFile<R> {
         let known = (op::HEADER..=op::DATA_END).contains(&opcode) || opcode >= 0x80;
         let there = length.min(self.length - self.at - PREFIX_BYTES);
         let cut = there < length;
-        // An attachment may be longer than what is worth holding; a length that leads out of the file is a
+        let longest = if opcode == op::CHUNK { LONGEST_CHUNK } else { LONGEST_RECORD };
+        // A picture or an attachment may be longer than what is worth holding; a length that leads out of the file is a
         // cut file's last record, or damaged.
-        if !known || (length > MAX_RECORD_BYTES && (cut || opcode == op::CHUNK)) {
+        if !known || (length > longest && (cut || opcode == op::CHUNK)) {
             self.resynchronise()?;
             return Ok(None);
         }
         let begin = self.at;
         self.at += PREFIX_BYTES + there;
-        if length > MAX_RECORD_BYTES {
+        if length > longest {
+            self.damage.passed_over += u64::from(opcode == op::MESSAGE);
             self.input.seek(SeekFrom::Start(self.at))?;
             return Ok(None);
         }
@@ -140,7 +156,11 @@ impl<R: Read + Seek> McapFile<R> {
             self.ended = true;
         }
         if opcode == op::CHUNK {
-            self.chunk = Some(Chunk::new(std::mem::take(record), begin, length, cut));
+            match Chunk::open(std::mem::take(record), begin, cut) {
+                Ok(chunk) => self.chunk = Some(chunk),
+                Err(_) if cut => {}
+                Err(_) => self.damage.chunk_at(begin),
+            }
             return Ok(None);
         }
         Ok((!cut).then_some(opcode))
@@ -158,29 +178,30 @@ impl<R: Read + Seek> McapFile<R> {
         Ok(false)
     }
 
-    /// The schemas and channels in the file's summary: where the chunk that announced a channel is damaged, the summary
-    /// still knows it. Reading goes on where it stood.
+    /// Hands the schemas and channels in the file's summary, by opcode and content, to `take`: where the chunk that announced
+    /// a channel is damaged, the summary still knows it. Reading goes on where it stood.
     ///
     /// # Errors
-    /// Reading failed; a summary that is missing or damaged is an empty list.
-    pub fn summary_channels(&mut self) -> io::Result<Announced> {
+    /// Reading failed; a summary that is missing or damaged is an empty one.
+    pub fn each_in_summary(&mut self, take: impl FnMut(u8, &[u8])) -> io::Result<()> {
         let stood = self.input.stream_position()?;
-        let channels = self.read_summary();
+        let result = self.read_summary(take);
         self.input.seek(SeekFrom::Start(stood))?;
-        channels
+        result
     }
 
-    fn read_summary(&mut self) -> io::Result<Announced> {
-        let mut found = Announced::default();
-        let Some(footer_at) = self.length.checked_sub(FOOTER_AND_MAGIC_BYTES) else { return Ok(found) };
+    fn read_summary(&mut self, mut take: impl FnMut(u8, &[u8])) -> io::Result<()> {
+        let Some(footer_at) = self.length.checked_sub(FOOTER_AND_MAGIC_BYTES) else { return Ok(()) };
         let mut footer = [0; FOOTER_AND_MAGIC_BYTES as usize];
         self.input.seek(SeekFrom::Start(footer_at))?;
         self.input.read_exact(&mut footer)?;
         let mut at = u64::from_le_bytes(std::array::from_fn(|index| footer[PREFIX_BYTES as usize + index]));
         if footer[0] != op::FOOTER || !footer.ends_with(MCAP_MAGIC) || at == 0 {
-            return Ok(found);
+            return Ok(());
         }
-        while at + PREFIX_BYTES <= footer_at {
+        let mut content = Vec::new();
+        // A damaged footer points anywhere; beyond the file there is no summary.
+        while at < footer_at && footer_at - at >= PREFIX_BYTES {
             let mut prefix = [0; PREFIX_BYTES as usize];
             self.input.seek(SeekFrom::Start(at))?;
             self.input.read_exact(&mut prefix)?;
@@ -190,18 +211,14 @@ impl<R: Read + Seek> McapFile<R> {
             if length > footer_at - at {
                 break;
             }
-            if matches!(opcode, op::CHANNEL | op::SCHEMA) && length <= MAX_RECORD_BYTES {
-                let mut content = vec![0; length as usize];
+            if matches!(opcode, op::CHANNEL | op::SCHEMA) && length <= LONGEST_RECORD {
+                content.resize(length as usize, 0);
                 self.input.read_exact(&mut content)?;
-                if opcode == op::CHANNEL {
-                    found.channels.extend(ChannelRecord::parse(&content));
-                } else {
-                    found.schemas.extend(SchemaRecord::parse(&content));
-                }
+                take(opcode, &content);
             }
             at += length;
         }
-        Ok(found)
+        Ok(())
     }
 
     /// Opcode and length of the record at hand; notes a cut where there is not even that.
@@ -222,7 +239,8 @@ impl<R: Read + Seek> McapFile<R> {
         let damaged_at = self.at;
         self.damage.first_at.get_or_insert(damaged_at);
         let mut from = damaged_at + 1;
-        let mut window = vec![0; 1 << 20];
+        // Most damages are short; the window grows with what is searched in vain.
+        let mut window = vec![0; 1 << 12];
         loop {
             self.input.seek(SeekFrom::Start(from))?;
             let there = read_up_to(&mut self.input, &mut window)?;
@@ -240,6 +258,7 @@ impl<R: Read + Seek> McapFile<R> {
                 return Ok(false);
             }
             from += (there - CHUNK_HEAD_BYTES) as u64;
+            window.resize((2 * window.len()).min(1 << 20), 0);
         }
     }
 }
@@ -266,7 +285,7 @@ fn chunk_begins(bytes: &[u8], remaining: u64) -> bool {
     let number = |at: usize| u64::from_le_bytes(std::array::from_fn(|i| bytes[at + i]));
     let length = number(1);
     let name_length = u32::from_le_bytes(std::array::from_fn(|i| bytes[37 + i])) as usize;
-    if length > MAX_RECORD_BYTES || length > remaining || !matches!(name_length, 0 | 3 | 4) {
+    if length > LONGEST_CHUNK || length > remaining || !matches!(name_length, 0 | 3 | 4) {
         return false;
     }
     let name = &bytes[41..41 + name_length];
@@ -274,64 +293,137 @@ fn chunk_begins(bytes: &[u8], remaining: u64) -> bool {
     matches!(name, b"" | b"lz4" | b"zstd") && compressed + 40 + name_length as u64 == length
 }
 
-/// A chunk that is being read: fed to the crate's reader as if it were a file of its own.
+/// A chunk that is being read.
 struct Chunk {
-    reader: LinearReader,
-    prefix: [u8; PREFIX_BYTES as usize],
-    content: Vec<u8>,
-    given: usize,
+    /// Its records, unpacked as they are read.
+    records: BufReader<Take<Box<dyn Read + Send>>>,
     begin: u64,
     cut: bool,
 }
 
 impl Chunk {
-    /// Of a chunk whose end is cut off there is no CRC to check, and what is there is taken.
-    fn new(content: Vec<u8>, begin: u64, length: u64, cut: bool) -> Self {
-        let options = LinearReaderOptions::default()
-            .with_skip_start_magic(true)
-            .with_skip_end_magic(true)
-            .with_record_length_limit(MAX_RECORD_BYTES as usize)
-            .with_prevalidate_chunk_crcs(!cut);
-        let mut prefix = [op::CHUNK; PREFIX_BYTES as usize];
-        prefix[1..].copy_from_slice(&length.to_le_bytes());
-        Chunk { reader: LinearReader::new_with_options(options), prefix, content, given: 0, begin, cut }
-    }
-
-    /// Puts the next record's content into `record` and gives its opcode; an error ends the chunk.
-    fn next_record(&mut self, record: &mut Vec<u8>) -> Option<Result<u8, mcap::McapError>> {
-        loop {
-            match self.reader.next_event()? {
-                Ok(LinearReadEvent::ReadRequest(wanted)) => self.give(wanted),
-                Ok(LinearReadEvent::Record { opcode, data }) => {
-                    record.clear();
-                    record.extend_from_slice(data);
-                    return Some(Ok(opcode));
-                }
-                Err(error) => return Some(Err(error)),
+    /// Checks a chunk. Of one whose end is cut off there is no CRC to check, and what is there is taken.
+    fn open(content: Vec<u8>, begin: u64, cut: bool) -> io::Result<Self> {
+        let header = ChunkHeader::parse(&content).ok_or(io::ErrorKind::InvalidData)?;
+        let from = header.records_at;
+        let to = content.len().min(from.saturating_add(usize::try_from(header.packed).unwrap_or(usize::MAX)));
+        let too_long = header.unpacked > LONGEST_UNPACKED;
+        if too_long || (!cut && (to - from) as u64 != header.packed) {
+            return Err(io::ErrorKind::InvalidData.into());
+        }
+        if header.crc != 0 && !cut {
+            let records = unpack(header.compression, Cursor::new(&content[from..to]))?;
+            let mut checked = Checked::default();
+            io::copy(&mut records.take(header.unpacked), &mut checked)?;
+            if checked.bytes != header.unpacked || checked.crc.finalize() != header.crc {
+                return Err(io::ErrorKind::InvalidData.into());
             }
         }
+        let mut packed = Cursor::new(content);
+        packed.set_position(from as u64);
+        let records = unpack(header.compression, packed.take((to - from) as u64))?.take(header.unpacked);
+        Ok(Chunk { records: BufReader::with_capacity(1 << 16, records), begin, cut })
     }
 
-    fn give(&mut self, wanted: usize) {
-        let into = self.reader.insert(wanted);
-        let from = match self.given.checked_sub(self.prefix.len()) {
-            Some(given) => &self.content[given..],
-            None => &self.prefix[self.given..],
-        };
-        let length = from.len().min(into.len());
-        into[..length].copy_from_slice(&from[..length]);
-        self.given += length;
-        self.reader.notify_read(length);
+    /// Puts the next record's content into `record` and gives its opcode; `None` after the last one.
+    fn next_record(&mut self, record: &mut Vec<u8>, damage: &mut Damage) -> io::Result<Option<u8>> {
+        loop {
+            let mut prefix = [0; PREFIX_BYTES as usize];
+            match read_up_to(&mut self.records, &mut prefix)? {
+                0 => return Ok(None),
+                there if there < prefix.len() => return Err(io::ErrorKind::UnexpectedEof.into()),
+                _ => {}
+            }
+            let [opcode, length @ ..] = prefix;
+            let length = u64::from_le_bytes(length);
+            if length > self.records.get_ref().limit() + self.records.buffer().len() as u64 {
+                return Err(io::ErrorKind::InvalidData.into());
+            }
+            if length <= LONGEST_RECORD {
+                record.resize(length as usize, 0);
+                self.records.read_exact(record)?;
+                return Ok(Some(opcode));
+            }
+            damage.passed_over += u64::from(opcode == op::MESSAGE);
+            io::copy(&mut self.records.by_ref().take(length), &mut io::sink())?;
+        }
     }
 }
 
-/// The announcements in a file's summary.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Announced {
-    /// Schemas.
-    pub schemas: Vec<SchemaRecord>,
-    /// Channels.
-    pub channels: Vec<ChannelRecord>,
+/// What a chunk says of itself before its records.
+struct ChunkHeader {
+    unpacked: u64,
+    crc: u32,
+    compression: Compression,
+    packed: u64,
+    records_at: usize,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Compression {
+    None,
+    Lz4,
+    Zstd,
+}
+
+impl ChunkHeader {
+    /// Reads two times, unpacked size, CRC, compression and packed size; `None` where they are cut or the compression is
+    /// unknown.
+    fn parse(content: &[u8]) -> Option<Self> {
+        let (_times, rest) = content.split_first_chunk::<16>()?;
+        let (unpacked, rest) = rest.split_first_chunk()?;
+        let (crc, rest) = rest.split_first_chunk()?;
+        let (length, rest) = rest.split_first_chunk()?;
+        let (name, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+        let (packed, records) = rest.split_first_chunk()?;
+        let compression = match name {
+            b"" => Compression::None,
+            b"lz4" => Compression::Lz4,
+            b"zstd" => Compression::Zstd,
+            _ => return None,
+        };
+        Some(ChunkHeader {
+            unpacked: u64::from_le_bytes(*unpacked),
+            crc: u32::from_le_bytes(*crc),
+            compression,
+            packed: u64::from_le_bytes(*packed),
+            records_at: content.len() - records.len(),
+        })
+    }
+}
+
+fn unpack<'r>(
+    compression: Compression,
+    packed: impl io::BufRead + Send + 'r,
+) -> io::Result<Box<dyn Read + Send + 'r>> {
+    Ok(match compression {
+        Compression::None => Box::new(packed),
+        Compression::Lz4 => Box::new(lz4::Decoder::new(packed)?),
+        Compression::Zstd => {
+            let mut decoder = zstd::Decoder::with_buffer(packed)?;
+            decoder.window_log_max(ZSTD_WINDOW_LOG)?;
+            Box::new(decoder)
+        }
+    })
+}
+
+/// Counts and checks what is written to it.
+#[derive(Default)]
+struct Checked {
+    crc: crc32fast::Hasher,
+    bytes: u64,
+}
+
+impl io::Write for Checked {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.crc.update(bytes);
+        self.bytes += bytes.len() as u64;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }
 
 /// What announces a channel. Parsed here because the crate reserves memory for a string's length before it looks how
@@ -349,7 +441,7 @@ pub struct ChannelRecord {
 }
 
 impl ChannelRecord {
-    /// Reads a record's content: identifier, schema's identifier, topic, encoding; `None` where it is too short.
+    /// Reads a record's content: identifier, schema's identifier, topic, encoding; `None` where it is too short, or a name too long.
     pub fn parse(content: &[u8]) -> Option<Self> {
         let (id, rest) = content.split_first_chunk::<2>()?;
         let (schema_id, rest) = rest.split_first_chunk::<2>()?;
@@ -369,26 +461,66 @@ pub struct SchemaRecord {
     pub name: String,
     /// Encoding, such as `jsonschema`, `protobuf`, `ros2msg`.
     pub encoding: String,
-    /// The schema itself.
+    /// The schema itself, where it is in an encoding that messages are decoded by.
     pub data: Vec<u8>,
 }
 
 impl SchemaRecord {
-    /// Reads a record's content; `None` where it is too short.
+    /// Reads a record's content; `None` where it is too short, or a name too long.
     pub fn parse(content: &[u8]) -> Option<Self> {
         let (id, rest) = content.split_first_chunk::<2>()?;
         let (name, rest) = split_string(rest)?;
         let (encoding, rest) = split_string(rest)?;
         let (length, rest) = rest.split_first_chunk::<4>()?;
-        let data = rest.get(..u32::from_le_bytes(*length) as usize)?.to_vec();
+        let data = rest.get(..u32::from_le_bytes(*length) as usize)?;
+        let is_read = matches!(&*encoding, "protobuf" | "ros2msg");
+        let data = if is_read { data.to_vec() } else { Vec::new() };
         Some(SchemaRecord { id: u16::from_le_bytes(*id), name, encoding, data })
     }
+
+    fn bytes(&self) -> usize {
+        self.name.len() + self.encoding.len() + self.data.len() + size_of::<Self>()
+    }
 }
+
+/// The schemas that channels may refer to.
+#[derive(Debug, Default)]
+pub struct Schemas {
+    kept: BTreeMap<u16, SchemaRecord>,
+    bytes: usize,
+}
+
+/// Schemas that are kept, bytes.
+const SCHEMA_BYTES_KEPT: usize = 8 << 20;
+
+impl Schemas {
+    /// Takes a record's content. Where the schemas become too many all are dropped: a schema stands right before the
+    /// channels that refer to it.
+    pub fn take(&mut self, content: &[u8]) {
+        let Some(schema) = SchemaRecord::parse(content) else { return };
+        self.bytes += schema.bytes();
+        if self.bytes > SCHEMA_BYTES_KEPT {
+            self.kept.clear();
+            self.bytes = schema.bytes();
+        }
+        if let Some(before) = self.kept.insert(schema.id, schema) {
+            self.bytes -= before.bytes();
+        }
+    }
+
+    /// The schema of that identifier.
+    pub fn get(&self, id: u16) -> Option<&SchemaRecord> {
+        self.kept.get(&id)
+    }
+}
+
+/// Longest name of a topic, a schema or an encoding that is believed, bytes.
+const LONGEST_NAME: usize = 4096;
 
 fn split_string(content: &[u8]) -> Option<(String, &[u8])> {
     let (length, rest) = content.split_first_chunk::<4>()?;
     let (text, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
-    Some((String::from_utf8_lossy(text).into_owned(), rest))
+    (text.len() <= LONGEST_NAME).then(|| (String::from_utf8_lossy(text).into_owned(), rest))
 }
 
 #[cfg(test)]

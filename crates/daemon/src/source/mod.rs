@@ -2,15 +2,19 @@
 
 pub(crate) mod bus_survey;
 pub mod candump;
+mod channels;
 pub mod csv;
 pub mod decode;
 pub mod fields;
 pub mod guess;
+mod intervals;
+pub mod json;
 pub mod kind;
 #[cfg(feature = "live")]
 pub mod live;
 pub mod mcap;
 pub mod mcap_file;
+pub mod protobuf;
 pub mod record;
 pub mod ros;
 #[cfg(feature = "live")]

@@ -1,8 +1,8 @@
-//! ROS 2 messages: CDR by the `ros2msg` definition in the log's schema.
+//! ROS 2 messages: CDR by the `ros2msg` definition in the log's schema, shown to a visitor as they are read.
 //!
 //! The definition's grammar is `re_ros_msg`'s, the primitives on the wire are `re_cdr`'s. The walk along the definition is
-//! here: it looks how much there is before it believes a length, and how deep it is before it follows a type
-//! (found by fuzzing: a sequence of 4 thousand million elements reserves memory for them).
+//! here: it looks how much there is before it believes a length, how deep it is before it follows a type, and how far it has
+//! gone (arrays of messages without fields have elements, but no bytes that would end them).
 
 use std::collections::HashMap;
 
@@ -11,9 +11,8 @@ use re_ros_msg::MessageSchema;
 use re_ros_msg::message_spec::{
     ArraySize, BuiltInType, ComplexType, MessageSpecification, Type, message_package,
 };
-use serde_json::{Map, Value};
 
-use super::decode::number;
+use super::fields::{DEEPEST, FieldVisitor, Step};
 
 /// A ROS 2 message's definition with those that it refers to.
 pub struct RosMessage {
@@ -23,8 +22,8 @@ pub struct RosMessage {
 
 /// Bytes before a CDR message: representation and options (DDS-XTypes 1.3, 7.6.3.1.2).
 const ENCAPSULATION_BYTES: usize = 4;
-/// Messages within messages that are followed; real ones have five levels or so.
-const DEEPEST: usize = 32;
+/// Fields and elements that a message may make one look at, besides one for each of its bytes.
+const FREE_STEPS: usize = 1 << 16;
 
 impl RosMessage {
     /// Reads a definition.
@@ -41,75 +40,30 @@ impl RosMessage {
         Ok(RosMessage { spec: parsed.spec, dependencies })
     }
 
-    /// The message as a tree of values.
+    /// Shows a message to a visitor.
     ///
     /// # Errors
-    /// One line: the message does not fit its definition.
-    pub fn decode(&self, message: &[u8]) -> Result<Value, String> {
+    /// One line: the message does not fit its definition, or a wanted field is no number.
+    pub fn visit(&self, message: &[u8], visitor: &mut impl FieldVisitor) -> Result<(), String> {
         let (encapsulation, body) = message
             .split_at_checked(ENCAPSULATION_BYTES)
             .ok_or_else(|| format!("{} bytes are no CDR message", message.len()))?;
         // The second byte is the representation: plain CDR, big or little endian.
         match encapsulation[1] {
-            0 => self.message(&mut CdrReader::<BigEndian>::new(body), &self.spec, 0),
-            1 => self.message(&mut CdrReader::<LittleEndian>::new(body), &self.spec, 0),
+            0 => self.walk(CdrReader::<BigEndian>::new(body), visitor),
+            1 => self.walk(CdrReader::<LittleEndian>::new(body), visitor),
             other => Err(format!("CDR representation {other} is not read; plain CDR is 0 or 1")),
         }
         .map_err(|what| format!("does not fit its schema: {what}"))
     }
 
-    fn message<B: CdrEndian>(
+    fn walk<B: CdrEndian>(
         &self,
-        reader: &mut CdrReader<'_, B>,
-        spec: &MessageSpecification,
-        depth: usize,
-    ) -> Result<Value, String> {
-        if depth > DEEPEST {
-            return Err(format!("`{}` lies more than {DEEPEST} messages deep", spec.name));
-        }
-        let mut fields = Map::new();
-        for field in &spec.fields {
-            let value = self
-                .value(reader, spec, &field.ty, depth)
-                .map_err(|what| format!("{}: {what}", field.name))?;
-            fields.insert(field.name.clone(), value);
-        }
-        Ok(Value::Object(fields))
-    }
-
-    fn value<B: CdrEndian>(
-        &self,
-        reader: &mut CdrReader<'_, B>,
-        scope: &MessageSpecification,
-        ty: &Type,
-        depth: usize,
-    ) -> Result<Value, String> {
-        match ty {
-            Type::BuiltIn(kind) => scalar(reader, kind),
-            Type::Complex(name) => {
-                let spec = self.resolve(scope, name).ok_or_else(|| format!("{name:?} is not defined"))?;
-                // A message of constants alone stands for an enumeration, which is its number on the wire.
-                match spec.underlying_type_if_enum_like().map_err(|error| error.to_string())? {
-                    Some(kind) => scalar(reader, kind),
-                    None => self.message(reader, spec, depth + 1),
-                }
-            }
-            Type::Array { ty, size } => {
-                let count = match size {
-                    ArraySize::Fixed(count) => *count,
-                    ArraySize::Bounded(_) | ArraySize::Unbounded => {
-                        reader.read_sequence_length().map_err(|error| error.to_string())?
-                    }
-                };
-                if count > reader.remaining() {
-                    return Err(format!("{count} elements in {} bytes", reader.remaining()));
-                }
-                (0..count)
-                    .map(|_| self.value(reader, scope, ty, depth + 1))
-                    .collect::<Result<_, _>>()
-                    .map(Value::Array)
-            }
-        }
+        reader: CdrReader<'_, B>,
+        visitor: &mut impl FieldVisitor,
+    ) -> Result<(), String> {
+        let steps = reader.remaining() + FREE_STEPS;
+        Walk { definition: self, reader, steps }.message(&self.spec, Some(visitor), 0)
     }
 
     fn resolve(&self, scope: &MessageSpecification, ty: &ComplexType) -> Option<&MessageSpecification> {
@@ -129,21 +83,149 @@ fn short_name(name: &str) -> String {
     name.replacen("/msg/", "/", 1)
 }
 
-fn scalar<B: CdrEndian>(reader: &mut CdrReader<'_, B>, kind: &BuiltInType) -> Result<Value, String> {
-    let value = match kind {
-        BuiltInType::Bool => reader.read_bool().map(Value::from),
-        BuiltInType::Byte | BuiltInType::Char | BuiltInType::UInt8 => reader.read_u8().map(Value::from),
-        BuiltInType::Int8 => reader.read_i8().map(Value::from),
-        BuiltInType::Int16 => reader.read_i16().map(Value::from),
-        BuiltInType::UInt16 => reader.read_u16().map(Value::from),
-        BuiltInType::Int32 => reader.read_i32().map(Value::from),
-        BuiltInType::UInt32 => reader.read_u32().map(Value::from),
-        BuiltInType::Int64 => reader.read_i64().map(Value::from),
-        BuiltInType::UInt64 => reader.read_u64().map(Value::from),
-        BuiltInType::Float32 => reader.read_f32().map(|value| number(f64::from(value))),
-        BuiltInType::Float64 => reader.read_f64().map(number),
-        BuiltInType::String(_) => reader.read_string().map(Value::from),
-        BuiltInType::WString(_) => return Err("wstring is not read".into()),
-    };
-    value.map_err(|error| error.to_string())
+/// A message on its way to a visitor; what the visitor does not want is walked over without one.
+struct Walk<'d, 'm, B: CdrEndian> {
+    definition: &'d RosMessage,
+    reader: CdrReader<'m, B>,
+    /// What may still be looked at.
+    steps: usize,
+}
+
+impl<'d, B: CdrEndian> Walk<'d, '_, B> {
+    fn spend(&mut self) -> Result<(), String> {
+        self.steps = self.steps.checked_sub(1).ok_or("it has far more fields than bytes")?;
+        Ok(())
+    }
+
+    fn message<V: FieldVisitor>(
+        &mut self,
+        spec: &'d MessageSpecification,
+        mut visitor: Option<&mut V>,
+        depth: usize,
+    ) -> Result<(), String> {
+        if depth > DEEPEST {
+            return Err(format!("`{}` lies more than {DEEPEST} messages deep", spec.name));
+        }
+        for field in &spec.fields {
+            self.step(Step::Key(&field.name), visitor.as_deref_mut(), |walk, visitor| {
+                walk.value(spec, &field.ty, visitor, depth)
+            })
+            .map_err(|what| format!("{}: {what}", field.name))?;
+        }
+        Ok(())
+    }
+
+    /// Walks on, with the visitor where it wants what comes.
+    fn step<V: FieldVisitor>(
+        &mut self,
+        step: Step<'_>,
+        visitor: Option<&mut V>,
+        walk_on: impl FnOnce(&mut Self, Option<&mut V>) -> Result<(), String>,
+    ) -> Result<(), String> {
+        self.spend()?;
+        let Some(visitor) = visitor else { return walk_on(self, None) };
+        if !visitor.enter(step) {
+            return walk_on(self, None);
+        }
+        walk_on(self, Some(visitor))?;
+        visitor.leave();
+        Ok(())
+    }
+
+    fn value<V: FieldVisitor>(
+        &mut self,
+        scope: &'d MessageSpecification,
+        ty: &'d Type,
+        visitor: Option<&mut V>,
+        depth: usize,
+    ) -> Result<(), String> {
+        match ty {
+            Type::BuiltIn(kind) => self.scalar(kind, visitor),
+            Type::Complex(name) => {
+                let spec =
+                    self.definition.resolve(scope, name).ok_or_else(|| format!("{name:?} is not defined"))?;
+                // A message of constants alone stands for an enumeration, which is its number on the wire.
+                match spec.underlying_type_if_enum_like().map_err(|error| error.to_string())? {
+                    Some(kind) => self.scalar(kind, visitor),
+                    None => self.message(spec, visitor, depth + 1),
+                }
+            }
+            Type::Array { ty, size } => {
+                let count = match size {
+                    ArraySize::Fixed(count) => *count,
+                    ArraySize::Bounded(_) | ArraySize::Unbounded => {
+                        self.reader.read_sequence_length().map_err(|error| error.to_string())?
+                    }
+                };
+                if count > self.reader.remaining() {
+                    return Err(format!("{count} elements in {} bytes", self.reader.remaining()));
+                }
+                self.elements(scope, ty, count, visitor, depth)
+            }
+        }
+    }
+
+    fn elements<V: FieldVisitor>(
+        &mut self,
+        scope: &'d MessageSpecification,
+        ty: &'d Type,
+        count: usize,
+        mut visitor: Option<&mut V>,
+        depth: usize,
+    ) -> Result<(), String> {
+        if let (None, Type::BuiltIn(kind)) = (&visitor, ty)
+            && let Some(size) = size_of(kind)
+            && count > 0
+        {
+            // An image that nobody wants is passed over at once.
+            return self
+                .reader
+                .align(size)
+                .and_then(|()| self.reader.read_bytes(count.saturating_mul(size)))
+                .map(drop)
+                .map_err(|error| error.to_string());
+        }
+        for index in 0..count {
+            self.step(Step::Index(index), visitor.as_deref_mut(), |walk, visitor| {
+                walk.value(scope, ty, visitor, depth + 1)
+            })?;
+        }
+        Ok(())
+    }
+
+    fn scalar<V: FieldVisitor>(&mut self, kind: &BuiltInType, visitor: Option<&mut V>) -> Result<(), String> {
+        let reader = &mut self.reader;
+        let number = match kind {
+            BuiltInType::Bool => reader.read_bool().map(|bit| f64::from(u8::from(bit))),
+            BuiltInType::Byte | BuiltInType::Char | BuiltInType::UInt8 => reader.read_u8().map(f64::from),
+            BuiltInType::Int8 => reader.read_i8().map(f64::from),
+            BuiltInType::Int16 => reader.read_i16().map(f64::from),
+            BuiltInType::UInt16 => reader.read_u16().map(f64::from),
+            BuiltInType::Int32 => reader.read_i32().map(f64::from),
+            BuiltInType::UInt32 => reader.read_u32().map(f64::from),
+            BuiltInType::Int64 => reader.read_i64().map(|value| value as f64),
+            BuiltInType::UInt64 => reader.read_u64().map(|value| value as f64),
+            BuiltInType::Float32 => reader.read_f32().map(f64::from),
+            BuiltInType::Float64 => reader.read_f64(),
+            BuiltInType::String(_) => {
+                let text = reader.read_str().map_err(|error| error.to_string())?;
+                return visitor.map_or(Ok(()), |visitor| visitor.text(text));
+            }
+            BuiltInType::WString(_) => return Err("wstring is not read".into()),
+        };
+        let number = number.map_err(|error| error.to_string())?;
+        visitor.map_or(Ok(()), |visitor| visitor.number(number))
+    }
+}
+
+/// Bytes of a number, which it is also aligned to.
+fn size_of(kind: &BuiltInType) -> Option<usize> {
+    Some(match kind {
+        BuiltInType::Byte | BuiltInType::Char | BuiltInType::UInt8 | BuiltInType::Int8 => 1,
+        BuiltInType::Int16 | BuiltInType::UInt16 => 2,
+        BuiltInType::Int32 | BuiltInType::UInt32 | BuiltInType::Float32 => 4,
+        BuiltInType::Int64 | BuiltInType::UInt64 | BuiltInType::Float64 => 8,
+        // Of truth values each byte is looked at; texts tell their own length.
+        BuiltInType::Bool | BuiltInType::String(_) | BuiltInType::WString(_) => return None,
+    })
 }

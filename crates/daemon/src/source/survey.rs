@@ -1,19 +1,20 @@
 //! A look at a whole log: topics, rates, gaps, numeric fields, and a guess what they are.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::{BufReader, Read, Seek, SeekFrom};
 
 use mcap::records::op;
 use seepd_signals::Signal;
 use serde::Serialize;
-use serde_json::Value;
 
 use super::bus_survey::{BusFound, BusSurvey, RawGuess};
 use super::candump::next_line;
 use super::decode::Decoder;
+use super::fields::{DEEPEST, FieldVisitor, Step};
 use super::guess::{Guess, guess};
+use super::intervals::Intervals;
 use super::kind::{HEAD_BYTES, LogKind};
-use super::mcap_file::{ChannelRecord, McapFile, SchemaRecord};
+use super::mcap_file::{ChannelRecord, McapFile, Schemas};
 use crate::can::candump::Line;
 use crate::can::dbc::Dbc;
 use crate::failure::{Code, Failure};
@@ -67,7 +68,10 @@ pub struct TopicSurvey {
     #[serde(skip)]
     pub(crate) mapping_topic: String,
     #[serde(skip)]
-    pub(super) times_ns: Vec<i64>,
+    pub(super) intervals: Intervals,
+    /// Where each field stands in `fields`.
+    #[serde(skip)]
+    pub(super) places: HashMap<String, usize>,
     #[serde(skip)]
     pub(super) decoder: Option<Decoder>,
 }
@@ -87,12 +91,22 @@ pub struct FieldSurvey {
     pub guess: Option<&'static str>,
 }
 
-/// Messages whose fields are looked into; the times of all are.
+/// Messages of a topic whose fields are looked into; the times of all are.
 const LOOKED_INTO: u64 = 20_000;
+/// Bytes of messages that are looked into in all.
+const BYTES_LOOKED_INTO: usize = 256 << 20;
 /// Fields of a topic that are told.
 const FIELDS_KEPT: usize = 256;
-/// Times kept for the median interval.
-const TIMES_KEPT: usize = 1 << 20;
+/// Longest path of a field that is told, bytes.
+const LONGEST_PATH: usize = 256;
+/// Elements of an array that are told; long arrays are images and clouds of points, not signals.
+const ELEMENTS_TOLD: usize = 16;
+/// Topics that are told; large robots have some hundred.
+pub(super) const TOPICS_KEPT: usize = 1024;
+/// Fields that are told in all.
+const FIELDS_IN_ALL: usize = 1 << 15;
+/// Bytes of schemas that are looked into; what is made of a schema takes some ten times as much.
+const SCHEMA_BYTES: usize = 4 << 20;
 
 /// Looks through a log.
 ///
@@ -127,43 +141,81 @@ pub fn survey<R: Read + Seek>(
 fn survey_mcap<R: Read + Seek>(input: R, name: &str) -> Result<(Vec<TopicSurvey>, Vec<String>), Failure> {
     let io = |error: std::io::Error| Failure::data(format!("{name}: {error}"));
     let mut file = McapFile::new(input).map_err(io)?;
-    let mut schemas: BTreeMap<u16, SchemaRecord> = BTreeMap::new();
-    let mut topics: BTreeMap<u16, TopicSurvey> = BTreeMap::new();
+    let mut topics = Topics::default();
     let mut record = Vec::new();
     while let Some(opcode) = file.next_record(&mut record).map_err(io)? {
         match opcode {
-            op::SCHEMA => {
-                if let Some(schema) = SchemaRecord::parse(&record) {
-                    schemas.insert(schema.id, schema);
-                }
-            }
-            op::CHANNEL => {
-                if let Some(channel) = ChannelRecord::parse(&record) {
-                    let schema = schemas.get(&channel.schema_id);
-                    let decoder = Decoder::new(&channel.encoding, schema);
-                    topics.entry(channel.id).or_insert_with(|| TopicSurvey {
-                        mapping_topic: channel.topic.clone(),
-                        topic: channel.topic,
-                        encoding: channel.encoding,
-                        schema: schema.map_or(String::new(), |schema| schema.name.clone()),
-                        problem: decoder.as_ref().err().cloned(),
-                        decoder: decoder.ok(),
-                        ..TopicSurvey::default()
-                    });
-                }
-            }
-            op::MESSAGE => {
-                if let Some((header, data)) = record.split_at_checked(super::mcap::MESSAGE_HEADER_BYTES)
-                    && let Some(topic) = topics.get_mut(&super::mcap::channel_id(header))
-                {
-                    topic.take(super::mcap::log_time_ns(header), data);
-                }
-            }
+            op::SCHEMA => topics.schemas.take(&record),
+            op::CHANNEL => topics.announce(&record),
+            op::MESSAGE => topics.take(&record),
             _ => {}
         }
     }
-    let notes = file.damage.notes();
-    Ok((topics.into_values().map(TopicSurvey::finished).collect(), notes))
+    let mut notes = file.damage.notes();
+    notes.extend(topics.note());
+    Ok((topics.of_channel.into_values().map(TopicSurvey::finished).collect(), notes))
+}
+
+/// The topics of an MCAP log, by channel.
+#[derive(Default)]
+struct Topics {
+    schemas: Schemas,
+    of_channel: BTreeMap<u16, TopicSurvey>,
+    /// Bytes of the schemas that were looked into.
+    schema_bytes: usize,
+    /// Bytes of the messages that were.
+    message_bytes: usize,
+    fields: usize,
+    /// Channels beyond those that are kept.
+    left_out: u64,
+}
+
+impl Topics {
+    fn announce(&mut self, record: &[u8]) {
+        let Some(channel) = ChannelRecord::parse(record) else { return };
+        if self.of_channel.contains_key(&channel.id) {
+            return;
+        }
+        if self.of_channel.len() == TOPICS_KEPT {
+            self.left_out += 1;
+            return;
+        }
+        let schema = self.schemas.get(channel.schema_id);
+        self.schema_bytes += schema.map_or(0, |schema| schema.data.len());
+        let decoder = if self.schema_bytes <= SCHEMA_BYTES {
+            Decoder::new(&channel.encoding, schema)
+        } else {
+            Err("is not looked into: the schemas of the topics before it are as much as is".into())
+        };
+        let topic = TopicSurvey {
+            mapping_topic: channel.topic.clone(),
+            topic: channel.topic,
+            encoding: channel.encoding,
+            schema: schema.map_or(String::new(), |schema| schema.name.clone()),
+            problem: decoder.as_ref().err().cloned(),
+            decoder: decoder.ok(),
+            ..TopicSurvey::default()
+        };
+        self.of_channel.insert(channel.id, topic);
+    }
+
+    fn take(&mut self, record: &[u8]) {
+        let Some((header, message)) = record.split_at_checked(super::mcap::MESSAGE_HEADER_BYTES) else {
+            return;
+        };
+        let Some(topic) = self.of_channel.get_mut(&super::mcap::channel_id(header)) else { return };
+        topic.messages += 1;
+        topic.take_time(super::mcap::log_time_ns(header));
+        if self.message_bytes < BYTES_LOOKED_INTO {
+            self.message_bytes += message.len();
+            let room = FIELDS_IN_ALL.saturating_sub(self.fields);
+            self.fields += topic.look_into(message, room);
+        }
+    }
+
+    fn note(&self) -> Option<String> {
+        (self.left_out > 0).then(|| format!("{} topics more, which are left out here", self.left_out))
+    }
 }
 
 fn survey_csv(
@@ -242,84 +294,95 @@ pub(crate) fn survey_of_bus(bus: BusSurvey<'_>, interface: &str, has_dbc: bool) 
 }
 
 impl TopicSurvey {
-    fn take(&mut self, time_ns: i64, message: &[u8]) {
-        self.messages += 1;
-        self.take_time(time_ns);
-        let Some(decoder) = self.decoder.as_ref().filter(|_| self.messages <= LOOKED_INTO) else { return };
-        match decoder.value(message) {
-            Ok(value) => self.take_value(&mut String::new(), &value),
-            Err(_) => self.unreadable += 1,
+    /// Looks for numbers in a message; gives how many fields it has that were not known, of at most `room`.
+    fn look_into(&mut self, message: &[u8], room: usize) -> usize {
+        let Some(decoder) = self.decoder.take().filter(|_| self.messages <= LOOKED_INTO) else { return 0 };
+        let known = self.fields.len();
+        let most = FIELDS_KEPT.min(known + room);
+        let mut look = Look { topic: self, path: String::new(), lengths: Vec::new(), most };
+        if decoder.visit(message, &mut look).is_err() {
+            self.unreadable += 1;
         }
+        self.decoder = Some(decoder);
+        self.fields.len() - known
     }
 
     pub(super) fn take_time(&mut self, time_ns: i64) {
-        if self.times_ns.len() < TIMES_KEPT {
-            self.times_ns.push(time_ns);
-        }
-    }
-
-    /// Every number in a message, under its path.
-    fn take_value(&mut self, path: &mut String, value: &Value) {
-        let length = path.len();
-        match value {
-            Value::Number(number) => self.take_field(path, number.as_f64().unwrap_or(f64::NAN)),
-            Value::Bool(bit) => self.take_field(path, f64::from(u8::from(*bit))),
-            Value::Object(fields) => {
-                for (key, value) in fields {
-                    if length > 0 {
-                        path.push('.');
-                    }
-                    path.push_str(key);
-                    self.take_value(path, value);
-                    path.truncate(length);
-                }
-            }
-            Value::Array(values) => {
-                // Long arrays are images and clouds of points, not signals.
-                for (index, value) in values.iter().enumerate().take(16) {
-                    path.push_str(&format!("[{index}]"));
-                    self.take_value(path, value);
-                    path.truncate(length);
-                }
-            }
-            Value::Null | Value::String(_) => {}
-        }
+        self.intervals.take(time_ns);
     }
 
     pub(super) fn take_field(&mut self, path: &str, value: f64) {
+        self.take_field_of(path, value, FIELDS_KEPT);
+    }
+
+    fn take_field_of(&mut self, path: &str, value: f64, most: usize) {
         if !value.is_finite() {
             return;
         }
-        if let Some(field) = self.fields.iter_mut().find(|field| field.path == path) {
+        if let Some(field) = self.places.get(path).and_then(|at| self.fields.get_mut(*at)) {
             field.count += 1;
             field.least = field.least.min(value);
             field.largest = field.largest.max(value);
-        } else if self.fields.len() < FIELDS_KEPT {
+        } else if self.fields.len() < most && path.len() <= LONGEST_PATH {
+            self.places.insert(path.to_owned(), self.fields.len());
             let path = path.to_owned();
             self.fields.push(FieldSurvey { path, count: 1, least: value, largest: value, guess: None });
         }
     }
 
     pub(super) fn finished(mut self) -> Self {
-        let times = std::mem::take(&mut self.times_ns);
-        let mut intervals: Vec<i64> = times.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
-        if let (Some(first), Some(last)) = (times.first(), times.last()) {
-            self.duration_s = last.saturating_sub(*first) as f64 / 1e9;
-        }
-        let unsorted = intervals.clone();
-        // Messages out of order have negative intervals, which say nothing about the rate.
-        intervals.retain(|interval| *interval > 0);
-        intervals.sort_unstable();
-        if let Some(median) = intervals.get(intervals.len() / 2).copied() {
-            // Where most messages share a stamp, the stamps are too coarse for the median to be the rate.
-            let coarse = 2 * intervals.len() < unsorted.len();
-            let mean_ns = self.duration_s * 1e9 / unsorted.len() as f64;
-            self.rate_hz = Some(1e9 / if coarse { mean_ns } else { median as f64 });
-            let gaps = unsorted.iter().filter(|interval| **interval as f64 > 2.5 * median as f64);
-            self.gaps = gaps.clone().count() as u64;
-            self.longest_gap_s = gaps.max().map_or(0.0, |gap| *gap as f64 / 1e9);
-        }
+        let found = std::mem::take(&mut self.intervals).found();
+        self.rate_hz = found.rate_hz;
+        self.duration_s = found.duration_s;
+        self.gaps = found.gaps;
+        self.longest_gap_s = found.longest_gap_s;
+        (self.decoder, self.places) = (None, HashMap::new());
         self
+    }
+}
+
+/// Takes every number of a message under its path.
+struct Look<'t> {
+    topic: &'t mut TopicSurvey,
+    path: String,
+    /// Of the path, before each step into it.
+    lengths: Vec<usize>,
+    most: usize,
+}
+
+impl FieldVisitor for Look<'_> {
+    fn enter(&mut self, step: Step<'_>) -> bool {
+        let length = self.path.len();
+        let long = match step {
+            Step::Key(key) => length + key.len() > LONGEST_PATH,
+            Step::Index(index) => index >= ELEMENTS_TOLD,
+        };
+        if long || self.lengths.len() == DEEPEST {
+            return false;
+        }
+        self.lengths.push(length);
+        match step {
+            Step::Key(key) if length == 0 => self.path.push_str(key),
+            Step::Key(key) => {
+                self.path.push('.');
+                self.path.push_str(key);
+            }
+            Step::Index(index) => self.path.push_str(&format!("[{index}]")),
+        }
+        true
+    }
+
+    fn leave(&mut self) {
+        self.path.truncate(self.lengths.pop().unwrap_or_default());
+    }
+
+    fn number(&mut self, value: f64) -> Result<(), String> {
+        self.topic.take_field_of(&self.path, value, self.most);
+        Ok(())
+    }
+
+    fn text(&mut self, _text: &str) -> Result<(), String> {
+        Ok(())
     }
 }
 

@@ -1,0 +1,505 @@
+//! Logs that are made to hurt: small ones that want much memory, time or a way round the mapping. Each is read or refused
+//! within 64 MiB above what a good log takes, and what is good beside it counts.
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
+#[expect(dead_code, reason = "other tests use the rest")]
+mod support;
+
+use std::fs;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use mcap::records::MessageHeader;
+use serde_json::Value;
+use support::{fixture, seepd, stderr};
+
+/// What the program takes for a good log, bytes of writable memory: its own data, stacks, buffers, the model's trees.
+const GOOD_LOG_BYTES: u64 = 24 << 20;
+/// What a log may make it take besides.
+const BUDGET_BYTES: u64 = 64 << 20;
+
+/// Runs the program where it cannot have more memory than that: it is killed where it wants more.
+fn frugal<A: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = A>) -> Output {
+    let limit_kb = (GOOD_LOG_BYTES + BUDGET_BYTES) >> 10;
+    Command::new("sh")
+        .args(["-c", &format!("ulimit -d {limit_kb}; exec \"$0\" \"$@\""), env!("CARGO_BIN_EXE_seepd")])
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn file(folder: &tempfile::TempDir, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
+    let path = folder.path().join(name);
+    fs::write(&path, content).unwrap();
+    path
+}
+
+/// A schema's name, encoding and data.
+type Schema<'s> = (&'s str, &'s str, &'s [u8]);
+
+/// A log with one channel, `/plc`, of these messages, a millisecond apart.
+fn log(encoding: &str, schema: Schema<'_>, messages: &[Vec<u8>]) -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    let mut writer = mcap::Writer::new(&mut bytes).unwrap();
+    let schema_id = writer.add_schema(schema.0, schema.1, schema.2).unwrap();
+    let channel_id = writer.add_channel(schema_id, "/plc", encoding, &Default::default()).unwrap();
+    for (sequence, message) in (0u32..).zip(messages) {
+        let log_time = u64::from(sequence) * 1_000_000;
+        let header = MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
+        writer.write_to_known_channel(&header, message).unwrap();
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    bytes.into_inner()
+}
+
+/// A protobuf field with bytes in it.
+fn bytes_field(number: u64, body: &[u8]) -> Vec<u8> {
+    [varint(number << 3 | 2), varint(body.len() as u64), body.to_vec()].concat()
+}
+
+fn varint_field(number: u64, value: u64) -> Vec<u8> {
+    [varint(number << 3), varint(value)].concat()
+}
+
+fn varint(mut value: u64) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    while value > 0x7f {
+        bytes.push(value as u8 | 0x80);
+        value >>= 7;
+    }
+    bytes.push(value as u8);
+    bytes
+}
+
+const DOUBLE: u64 = 1;
+const INT32: u64 = 5;
+const MESSAGE: u64 = 11;
+const SINGLE: u64 = 1;
+const REPEATED: u64 = 3;
+
+/// A `FieldDescriptorProto`; `more` is what else it says.
+fn field(name: &str, number: u64, label: u64, kind: u64, type_name: &str, more: &[u8]) -> Vec<u8> {
+    let mut body = bytes_field(1, name.as_bytes());
+    body.extend(varint_field(3, number));
+    body.extend(varint_field(4, label));
+    body.extend(varint_field(5, kind));
+    if !type_name.is_empty() {
+        body.extend(bytes_field(6, type_name.as_bytes()));
+    }
+    body.extend(more);
+    bytes_field(2, &body)
+}
+
+fn message(name: &str, fields: &[Vec<u8>]) -> Vec<u8> {
+    bytes_field(4, &[bytes_field(1, name.as_bytes()), fields.concat()].concat())
+}
+
+/// A `FileDescriptorSet` of one file in the package `p`.
+fn descriptor_set(syntax: &str, messages: &[Vec<u8>]) -> Vec<u8> {
+    let mut file = bytes_field(1, b"p.proto");
+    file.extend(bytes_field(2, b"p"));
+    file.extend(messages.concat());
+    file.extend(bytes_field(12, syntax.as_bytes()));
+    bytes_field(1, &file)
+}
+
+/// A `double` on the wire.
+fn double(number: u64, value: f64) -> Vec<u8> {
+    [varint(number << 3 | 1), value.to_le_bytes().to_vec()].concat()
+}
+
+/// Replays a log's `/plc` with the command in a field, and inspects it; gives both.
+fn read_twice(path: &Path, command: &str) -> [Output; 2] {
+    let path = path.to_str().unwrap();
+    [
+        frugal(["replay", "--quiet", "--topic", "/plc", "--command", command, path]),
+        frugal(["inspect", "--json", path]),
+    ]
+}
+
+/// Exit codes of the two, which must be no signal, and the first's standard error.
+fn codes(outputs: &[Output; 2]) -> ([Option<i32>; 2], String) {
+    (outputs.each_ref().map(|output| output.status.code()), stderr(&outputs[0]))
+}
+
+#[test]
+fn a_good_log_fits_the_memory_that_is_set_aside_for_it() {
+    let log = fixture("nominal_leak_1e-6.csv");
+    let limit_kb = GOOD_LOG_BYTES >> 10;
+    let output = Command::new("sh")
+        .args(["-c", &format!("ulimit -d {limit_kb}; exec \"$0\" \"$@\""), env!("CARGO_BIN_EXE_seepd")])
+        .args(["replay", "--quiet", log.to_str().unwrap()])
+        .output()
+        .unwrap();
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+}
+
+/// The command of each message, then what kind of log it was.
+fn protobuf_log(schema: &[u8], messages: &[Vec<u8>]) -> Vec<u8> {
+    log("protobuf", ("p.Axis", "protobuf", schema), messages)
+}
+
+#[test]
+fn a_protobuf_type_that_contains_itself_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = descriptor_set(
+        "proto3",
+        &[message(
+            "Axis",
+            &[
+                field("inner", 1, SINGLE, MESSAGE, ".p.Axis", b""),
+                field("command", 2, SINGLE, DOUBLE, "", b""),
+            ],
+        )],
+    );
+    let messages = [double(2, 0.5), bytes_field(1, &double(2, 0.25))];
+    let path = file(&folder, "self.mcap", protobuf_log(&set, &messages));
+    let outputs = read_twice(&path, "command");
+    assert_eq!(codes(&outputs).0, [Some(0); 2], "{}", codes(&outputs).1);
+    let found: Value = serde_json::from_slice(&outputs[1].stdout).unwrap();
+    let fields = found["topics"][0]["fields"].as_array().unwrap();
+    let paths: Vec<&str> = fields.iter().map(|field| field["path"].as_str().unwrap()).collect();
+    assert_eq!(paths, ["command", "inner.command"]);
+}
+
+/// Messages within messages, without end as far as the bytes go: followed so far, and then told.
+#[test]
+fn a_message_200_000_deep_costs_no_stack() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = descriptor_set(
+        "proto3",
+        &[message(
+            "Axis",
+            &[
+                field("inner", 1, SINGLE, MESSAGE, ".p.Axis", b""),
+                field("command", 2, SINGLE, DOUBLE, "", b""),
+            ],
+        )],
+    );
+    // Each level has to state its length; the innermost are made first.
+    let mut deep = Vec::new();
+    for _ in 0..20_000 {
+        deep = [varint(1 << 3 | 2), varint(deep.len() as u64), deep].concat();
+    }
+    let path = file(&folder, "deep.mcap", protobuf_log(&set, &[deep, double(2, 0.5)]));
+    assert_eq!(codes(&read_twice(&path, "command")).0, [Some(0); 2]);
+    // A group opens with one byte and needs no length.
+    let groups = [vec![1 << 3 | 3; 200_000], vec![1 << 3 | 4; 200_000]].concat();
+    let path = file(&folder, "groups.mcap", protobuf_log(&set, &[groups, double(2, 0.5)]));
+    assert_eq!(codes(&read_twice(&path, "command")).0, [Some(0); 2]);
+
+    let json = format!("{{\"x\":{}1{},\"command\":0.5}}", "[".repeat(200_000), "]".repeat(200_000));
+    let path = file(&folder, "json.mcap", log("json", ("a", "jsonschema", b""), &[json.into_bytes()]));
+    assert_eq!(codes(&read_twice(&path, "command")).0, [Some(0); 2]);
+}
+
+#[test]
+fn a_field_path_200_000_deep_is_a_configuration_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = file(&folder, "a.mcap", log("json", ("a", "jsonschema", b""), &[b"{\"command\":1}".to_vec()]));
+    let config = format!("[signals.command]\ntopic = \"/plc\"\nfield = \"{}\"\n", "a.".repeat(200_000));
+    let config = file(&folder, "seepd.toml", config);
+    let told = "signals.command.field is a path of 200000 parts; 32 are followed";
+    let check = seepd(["check", config.to_str().unwrap()]);
+    assert_eq!((check.status.code(), stderr(&check).contains(told)), (Some(78), true), "{}", stderr(&check));
+    let output = seepd(["replay", "--config", config.to_str().unwrap(), path.to_str().unwrap()]);
+    assert_eq!((output.status.code(), stderr(&output).contains(told)), (Some(78), true));
+    let long = "a.".repeat(40_000);
+    let output = seepd(["replay", "--topic", "/plc", "--command", &long, path.to_str().unwrap()]);
+    let told = "signals.command.field is a path of 40000 parts";
+    assert_eq!((output.status.code(), stderr(&output).contains(told)), (Some(78), true));
+}
+
+/// A few hundred bytes whose absent fields, each with its own, would be a thousand million.
+#[test]
+fn protobuf_defaults_that_fan_out_are_not_made() {
+    let folder = tempfile::tempdir().unwrap();
+    let level = |name: &str, next: &str| {
+        let fields: Vec<Vec<u8>> = (1..=32)
+            .map(|number| field(&format!("f{number}"), number, SINGLE, MESSAGE, next, b""))
+            .chain([field("command", 33, SINGLE, DOUBLE, "", b"")])
+            .collect();
+        message(name, &fields)
+    };
+    let set = descriptor_set(
+        "proto3",
+        &[
+            level("Axis", ".p.B"),
+            level("B", ".p.C"),
+            level("C", ".p.D"),
+            level("D", ".p.E"),
+            level("E", ".p.F"),
+            level("F", ".p.Axis"),
+        ],
+    );
+    let path = file(&folder, "fan.mcap", protobuf_log(&set, &[Vec::new(), double(33, 0.5)]));
+    assert_eq!(codes(&read_twice(&path, "command")).0, [Some(0); 2]);
+}
+
+#[test]
+fn a_packed_field_of_millions_takes_no_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let set = descriptor_set(
+        "proto3",
+        &[message(
+            "Axis",
+            &[field("many", 1, REPEATED, INT32, "", b""), field("command", 2, SINGLE, DOUBLE, "", b"")],
+        )],
+    );
+    let body = [bytes_field(1, &vec![7; 6 << 20]), double(2, 0.5)].concat();
+    let path = file(&folder, "packed.mcap", protobuf_log(&set, &[body]));
+    let outputs = read_twice(&path, "command");
+    assert_eq!(codes(&outputs).0, [Some(0); 2], "{}", codes(&outputs).1);
+    let outputs = read_twice(&path, "many[5000000]");
+    assert_eq!(codes(&outputs).0, [Some(0); 2], "{}", codes(&outputs).1);
+}
+
+#[test]
+fn an_image_beside_the_command_is_passed_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let body = [
+        vec![0, 1, 0, 0],
+        (4u32 << 20).to_le_bytes().to_vec(),
+        vec![9; 4 << 20],
+        vec![0; 4],
+        0.5f64.to_le_bytes().to_vec(),
+    ]
+    .concat();
+    let schema = ("p/msg/Axis", "ros2msg", &b"uint8[] image\nfloat64 command"[..]);
+    let path = file(&folder, "image.mcap", log("cdr", schema, &[body]));
+    let outputs = read_twice(&path, "command");
+    assert_eq!(codes(&outputs).0, [Some(0); 2], "{}", codes(&outputs).1);
+    let found: Value = serde_json::from_slice(&outputs[1].stdout).unwrap();
+    let fields = found["topics"][0]["fields"].as_array().unwrap();
+    assert_eq!(fields.len(), 17, "16 pixels and the command");
+    assert_eq!((fields[16]["path"].as_str(), fields[16]["least"].as_f64()), (Some("command"), Some(0.5)));
+}
+
+/// Elements without bytes: a count alone would keep a reader busy, and a second dimension for ever.
+#[test]
+fn ros_arrays_of_empty_messages_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let schema = b"Row[200000] rows\nfloat64 command\n===\nMSG: p/Row\nEmpty[200000] cells\n===\nMSG: p/Empty\n# nothing\n";
+    let body = [vec![0, 1, 0, 0], vec![0; 400_000]].concat();
+    let path = file(&folder, "empty.mcap", log("cdr", ("p/msg/Axis", "ros2msg", schema), &[body]));
+    let (codes, text) = codes(&read_twice(&path, "command"));
+    assert_eq!(codes, [Some(65), Some(0)]);
+    assert!(text.contains("it has far more fields than bytes"), "{text}");
+}
+
+#[test]
+fn wide_json_is_read_within_bounds() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut json = String::from("{");
+    for number in 0..300_000 {
+        json += &format!("\"k{number}\":{number},");
+    }
+    json += "\"command\":0.5}";
+    let path = file(&folder, "wide.mcap", log("json", ("a", "jsonschema", b""), &[json.into_bytes()]));
+    let outputs = read_twice(&path, "command");
+    assert_eq!(codes(&outputs).0, [Some(0); 2], "{}", codes(&outputs).1);
+    let found: Value = serde_json::from_slice(&outputs[1].stdout).unwrap();
+    assert_eq!(found["topics"][0]["fields"].as_array().unwrap().len(), 256);
+}
+
+/// A record as it stands in a file.
+fn record(opcode: u8, content: &[u8]) -> Vec<u8> {
+    [vec![opcode], (content.len() as u64).to_le_bytes().to_vec(), content.to_vec()].concat()
+}
+
+fn string(text: &str) -> Vec<u8> {
+    [(text.len() as u32).to_le_bytes().to_vec(), text.as_bytes().to_vec()].concat()
+}
+
+fn schema_record(id: u16, name: &str, encoding: &str, data: &[u8]) -> Vec<u8> {
+    let data = [(data.len() as u32).to_le_bytes().to_vec(), data.to_vec()].concat();
+    record(3, &[id.to_le_bytes().to_vec(), string(name), string(encoding), data].concat())
+}
+
+fn channel_record(id: u16, schema: u16, topic: &str, encoding: &str) -> Vec<u8> {
+    let ids = [id.to_le_bytes(), schema.to_le_bytes()].concat();
+    record(4, &[ids, string(topic), string(encoding), vec![0; 4]].concat())
+}
+
+fn message_record(channel: u16, time_ns: u64, data: &[u8]) -> Vec<u8> {
+    let times = [time_ns.to_le_bytes(), time_ns.to_le_bytes()].concat();
+    record(5, &[channel.to_le_bytes().to_vec(), vec![0; 4], times, data.to_vec()].concat())
+}
+
+/// A chunk whose records are compressed by zstd.
+fn zstd_chunk(records: &[u8], crc: u32) -> Vec<u8> {
+    let packed = zstd::bulk::compress(records, 3).unwrap();
+    let mut content = vec![0; 16];
+    content.extend((records.len() as u64).to_le_bytes());
+    content.extend(crc.to_le_bytes());
+    content.extend(string("zstd"));
+    content.extend((packed.len() as u64).to_le_bytes());
+    content.extend(packed);
+    record(6, &content)
+}
+
+const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+
+#[test]
+fn schemas_and_channels_by_the_hundred_thousand_are_passed_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut records = Vec::new();
+    let set = descriptor_set("proto3", &[message("Axis", &[field("command", 1, SINGLE, DOUBLE, "", b"")])]);
+    let big = [set, bytes_field(999, &[b'x'; 1000])].concat();
+    for id in 1..=65_000u16 {
+        records.extend(schema_record(id, "p.Axis", "protobuf", &big));
+        records.extend(channel_record(id, id, &format!("/robot/part_{id}"), "protobuf"));
+    }
+    records.extend(channel_record(65_001, 65_000, "/plc", "protobuf"));
+    for tick in 0..100 {
+        records.extend(message_record(65_001, tick * 1_000_000, &double(1, 0.5)));
+    }
+    let mut bytes = MAGIC.to_vec();
+    bytes.extend(zstd_chunk(&records, crc32fast::hash(&records)));
+    assert!(bytes.len() < 2 << 20, "{} bytes", bytes.len());
+    let path = file(&folder, "channels.mcap", bytes);
+    let outputs = read_twice(&path, "command");
+    assert_eq!(codes(&outputs).0, [Some(0); 2], "{}", codes(&outputs).1);
+    let found: Value = serde_json::from_slice(&outputs[1].stdout).unwrap();
+    assert_eq!(found["topics"].as_array().unwrap().len(), 1024);
+    assert!(
+        found["notes"].as_array().unwrap().contains(&"63977 topics more, which are left out here".into())
+    );
+    let (codes, text) = {
+        let output = frugal(["replay", path.to_str().unwrap()]);
+        (output.status.code(), stderr(&output))
+    };
+    assert_eq!(codes, Some(65));
+    assert!(text.contains("/robot/part_32 (protobuf, 0 messages), 64969 topics more"), "{text}");
+    assert!(text.len() < 4000, "{} bytes", text.len());
+}
+
+/// Nothing says how far such a chunk may be unpacked but its own header.
+#[test]
+fn a_chunk_without_crc_is_unpacked_within_bounds() {
+    let folder = tempfile::tempdir().unwrap();
+    // A message of 200 MiB of nothing, then a command.
+    let mut records = channel_record(1, 0, "/camera", "json");
+    records.extend(channel_record(2, 0, "/plc", "json"));
+    records.extend(message_record(1, 0, &vec![0; 200 << 20]));
+    records.extend(message_record(2, 0, b"{\"command\":0.5}"));
+    let mut bytes = [MAGIC, &zstd_chunk(&records, 0)].concat();
+    let path = file(&folder, "bomb.mcap", &bytes);
+    let outputs = read_twice(&path, "command");
+    assert_eq!(codes(&outputs).0, [Some(0); 2], "{}", codes(&outputs).1);
+    assert!(codes(&outputs).1.contains("1 messages longer than 8 MiB passed over"), "{}", codes(&outputs).1);
+    // One that says it holds a terabyte is damaged.
+    let at = MAGIC.len() + 9 + 16;
+    bytes[at..at + 8].copy_from_slice(&(1u64 << 40).to_le_bytes());
+    let path = file(&folder, "terabyte.mcap", &bytes);
+    let (codes, text) = codes(&read_twice(&path, "command"));
+    assert_eq!(codes, [Some(65), Some(0)]);
+    assert!(text.contains("1 damaged chunks"), "{text}");
+}
+
+#[test]
+fn a_protobuf_command_that_is_absent_is_no_sample() {
+    let folder = tempfile::tempdir().unwrap();
+    let in_oneof = [varint_field(9, 0), varint_field(17, 1)].concat();
+    let explicit = [message("Axis", &[field("command", 1, SINGLE, DOUBLE, "", &in_oneof)])];
+    let implicit = [message("Axis", &[field("command", 1, SINGLE, DOUBLE, "", b"")])];
+    let messages: Vec<Vec<u8>> =
+        (0..100).map(|n| if n % 10 == 3 { Vec::new() } else { double(1, 0.5) }).collect();
+    let count = |set: &[u8], name: &str| {
+        let path = file(&folder, name, protobuf_log(set, &messages));
+        let output =
+            seepd(["replay", "--json", "--topic", "/plc", "--command", "command", path.to_str().unwrap()]);
+        let summary: Value = serde_json::from_slice(&output.stdout).unwrap();
+        (summary["samples"].as_u64().unwrap(), stderr(&output))
+    };
+    for (syntax, what) in [("proto3", "proto3 optional"), ("proto2", "proto2")] {
+        let definition = if syntax == "proto3" { &explicit } else { &implicit };
+        let (samples, text) = count(&descriptor_set(syntax, definition), "explicit.mcap");
+        assert_eq!(samples, 90, "{what}");
+        let told = "10 messages left out that hold no command, the first at 3000000 ns";
+        assert!(text.contains(told), "{what}: {text}");
+    }
+    // Without presence a writer leaves out what is 0.
+    let (samples, text) = count(&descriptor_set("proto3", &implicit), "implicit.mcap");
+    assert_eq!((samples, text.as_str()), (100, ""));
+}
+
+#[test]
+fn a_footer_that_points_nowhere_costs_the_summary_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    for summary_start in [1, 1 << 40, u64::MAX - 4, u64::MAX] {
+        let mut bytes = [MAGIC.to_vec(), channel_record(1, 0, "/plc", "json")].concat();
+        for tick in 0..100 {
+            bytes.extend(message_record(1, tick * 1_000_000, b"{\"command\":0.5}"));
+        }
+        // A message whose channel only the summary may know.
+        bytes.extend(message_record(9, 0, b"{}"));
+        bytes.extend(record(15, &[0; 4]));
+        bytes.extend(record(2, &[&u64::to_le_bytes(summary_start)[..], &[0; 12]].concat()));
+        bytes.extend(MAGIC);
+        let path = file(&folder, "footer.mcap", bytes);
+        let output =
+            seepd(["replay", "--json", "--topic", "/plc", "--command", "command", path.to_str().unwrap()]);
+        let summary: Value = serde_json::from_slice(&output.stdout).expect(&stderr(&output));
+        assert_eq!((output.status.code(), summary["samples"].as_u64()), (Some(0), Some(100)));
+        assert!(
+            stderr(&output).contains("1 messages of topics that it does not name"),
+            "{}",
+            stderr(&output)
+        );
+    }
+}
+
+#[test]
+fn two_times_on_one_topic_are_a_configuration_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let body = b"{\"command\":0.5,\"x\":1,\"sent\":5.0,\"received\":6.0}".to_vec();
+    let path = file(&folder, "a.mcap", log("json", ("a", "jsonschema", b""), &[body]));
+    let config = |topic: &str| {
+        let text = format!(
+            "[signals.command]\ntopic = \"/plc\"\ntime = \"sent\"\n[signals.position]\ntopic = \"{topic}\"\ntime = \"received\"\n"
+        );
+        file(&folder, "seepd.toml", text)
+    };
+    let told = "signals.position.time is `received`, but signals.command.time, on the same topic, is `sent`";
+    let config_file = config("/plc");
+    let output = seepd(["check", config_file.to_str().unwrap()]);
+    assert_eq!(
+        (output.status.code(), stderr(&output).contains(told)),
+        (Some(78), true),
+        "{}",
+        stderr(&output)
+    );
+    // Named by its ending, the topic shows only in the log.
+    let config_file = config("*plc");
+    let output = seepd(["replay", "--config", config_file.to_str().unwrap(), path.to_str().unwrap()]);
+    assert_eq!(
+        (output.status.code(), stderr(&output).contains(told)),
+        (Some(78), true),
+        "{}",
+        stderr(&output)
+    );
+}
+
+#[test]
+fn a_counter_outside_the_commands_frame_is_a_configuration_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = file(
+        &folder,
+        "seepd.toml",
+        "[source]\ncan = \"can0\"\ncounter = { bits = { id = 0x124, start = 0, length = 8 } }\n\
+         [signals.command]\nbits = { id = 0x123, start = 0, length = 16, encoding = \"signed\" }\n",
+    );
+    let log = file(&folder, "candump.log", "(1.000001) can0 123#0000\n(1.001001) can0 124#01\n");
+    let told = "source.counter is in the frame 124, signals.command in 123";
+    for arguments in [
+        vec!["check", config.to_str().unwrap()],
+        vec!["replay", "--config", config.to_str().unwrap(), log.to_str().unwrap()],
+    ] {
+        let output = seepd(arguments);
+        let text = stderr(&output);
+        assert_eq!((output.status.code(), text.contains(told)), (Some(78), true), "{text}");
+    }
+}
