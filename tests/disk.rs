@@ -1,6 +1,7 @@
 //! Disks that are full, folders in the way, files of others: what the program writes, and what it leaves alone.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+#![expect(clippy::disallowed_methods, reason = "tests of a live daemon wait")]
 
 #[path = "support/daemon.rs"]
 #[expect(dead_code, reason = "other tests use the rest")]
@@ -18,7 +19,7 @@ use std::time::Duration;
 use serde_json::Value;
 
 use daemon::{Daemon, Machine, cycle, free_port, json, machine_toml, until};
-use support::{seepd, simulate, stdout};
+use support::{fixture, seepd, simulate, stderr, stdout};
 
 const SOON: Duration = Duration::from_secs(20);
 
@@ -132,4 +133,107 @@ fn a_full_disk_is_told_once_and_counted_and_recovery_is_told() {
     assert!(files(&state.join("recordings")).iter().all(|file| fs::metadata(file).unwrap().len() > 0));
     assert!(state.join("state.json").exists());
     drop(daemon);
+}
+
+/// Runs a command that must be refused; its exit code and its one line.
+fn refusal(arguments: &[&str]) -> (i32, String) {
+    let output = seepd(arguments);
+    let text = stderr(&output);
+    assert_eq!(text.lines().count(), 1, "{arguments:?}: {text}");
+    (output.status.code().unwrap(), text)
+}
+
+#[test]
+fn no_command_writes_over_a_file_unless_asked() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (log, old) = (path("log.mcap"), path("press.mcap"));
+    simulate(Path::new(&log), &["--cycles", "6"]);
+    fs::write(&old, "last week's result").unwrap();
+    fs::write(path("seepd.1"), "last week's result").unwrap();
+    let (new, here) = (path("new"), path(""));
+    let commands: [&[&str]; 15] = [
+        &["simulate", "--out", &old],
+        &["train", "--out", &old],
+        &["train", "--out", &new, "--data", &old],
+        &["study", "--out", &old],
+        &["demo", "--folder", &here],
+        &["replay", &log, "--csv", &old],
+        &["replay", &log, "--mcap", &old],
+        &["replay", &log, "--html", &old],
+        &["evaluate", &log, "--html", &old],
+        &["learn-baseline", &log, "--out", &old],
+        &["gap", &log, "--json", &old],
+        &["gap", &log, "--html", &old],
+        &["gap", &log, "--emit-plant", &old],
+        &["init", &log, "--out", &old],
+        &["man", "--folder", &here],
+    ];
+    for command in commands {
+        let (code, text) = refusal(command);
+        assert_eq!(code, 64, "{command:?}: {text}");
+        assert!(text.contains("is there already; ") && text.contains("--force"), "{command:?}: {text}");
+    }
+    assert_eq!(fs::read_to_string(&old).unwrap(), "last week's result");
+    assert_eq!(files(folder.path()).len(), 3);
+    stdout(&seepd(["replay", "--quiet", "--force", "--csv", &old, &log]));
+    assert!(fs::read_to_string(&old).unwrap().starts_with("axis,cycle,"));
+}
+
+#[test]
+fn no_command_writes_over_what_it_reads() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (log, twin, plant) = (path("log.mcap"), path("twin.mcap"), path("plant.toml"));
+    simulate(Path::new(&log), &["--cycles", "6"]);
+    std::os::unix::fs::symlink(&log, &twin).unwrap();
+    fs::copy(fixture("../../docs/plant.toml"), &plant).unwrap();
+    let before = fs::read(&log).unwrap();
+    let commands: [&[&str]; 9] = [
+        &["replay", &log, "--csv", &log],
+        &["replay", &log, "--mcap", &twin],
+        &["replay", &twin, "--html", &log],
+        &["evaluate", &log, "--html", &log],
+        &["learn-baseline", &log, "--out", &twin],
+        &["gap", &log, "--json", &log],
+        &["gap", &log, "--plant", &plant, "--emit-plant", &plant],
+        &["simulate", "--plant", &plant, "--out", &plant],
+        &["init", &log, "--out", &log],
+    ];
+    for command in commands {
+        let (code, text) = refusal(&[command, &["--force"]].concat());
+        assert_eq!(code, 64, "{command:?}: {text}");
+        assert!(text.contains("is read by this very command"), "{command:?}: {text}");
+    }
+    assert_eq!(fs::read(&log).unwrap(), before);
+}
+
+#[test]
+fn a_command_that_fails_leaves_the_older_result() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (old, missing) = (path("cycles.csv"), path("missing.mcap"));
+    fs::write(&old, "last week's result").unwrap();
+    for option in ["--csv", "--mcap", "--html"] {
+        assert_eq!(refusal(&["replay", &missing, "--force", option, &old]).0, 66);
+        assert_eq!(fs::read_to_string(&old).unwrap(), "last week's result");
+    }
+    assert_eq!(files(folder.path()).len(), 1);
+}
+
+#[test]
+fn pipes_and_devices_are_written_as_they_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.mcap");
+    simulate(&log, &["--cycles", "6"]);
+    let log = log.to_str().unwrap();
+    let text = stdout(&seepd(["replay", "--quiet", "--csv", "/dev/stdout", log]));
+    assert!(text.starts_with("axis,cycle,") && text.contains("cycles in"), "{text}");
+    stdout(&seepd(["replay", "--quiet", "--mcap", "/dev/null", "--html", "/dev/null", log]));
+    let (code, text) = refusal(&["replay", "--quiet", "--csv", "/dev/full", log]);
+    assert!(code == 74 && text.contains("/dev/full: No space left"), "{text}");
+    // A log that goes down a pipe is the same log.
+    let through = seepd(["simulate", "--cycles", "6", "--out", "/dev/stdout"]);
+    assert!(through.status.success(), "{}", stderr(&through));
+    assert_eq!(through.stdout, fs::read(log).unwrap());
 }

@@ -177,7 +177,7 @@ fn a_report_against_a_baseline_shows_its_record_and_what_the_estimate_comes_from
         assert!(text.contains(told), "{told}");
     }
     // Without one, the features' contributions to the model's estimate.
-    replay(&worn, &["--html", text_of(&page)]);
+    replay(&worn, &["--force", "--html", text_of(&page)]);
     let text = fs::read_to_string(&page).unwrap();
     assert_self_contained(&text);
     assert!(text.contains("raises the estimate by the factor") && !text.contains("The baselines"), "{text}");

@@ -43,9 +43,9 @@ pub(crate) fn commands() -> Vec<String> {
         .collect()
 }
 
-/// Simulates a log.
+/// Simulates a log, in the place of one that is there.
 pub(crate) fn simulate(out: &Path, more: &[&str]) {
-    let mut arguments = vec!["simulate", "--out", out.to_str().expect("UTF-8")];
+    let mut arguments = vec!["simulate", "--force", "--out", out.to_str().expect("UTF-8")];
     arguments.extend(more);
     stdout(&seepd(arguments));
 }

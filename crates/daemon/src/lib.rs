@@ -16,6 +16,7 @@ pub mod failure;
 pub mod html;
 #[cfg(feature = "live")]
 pub mod live;
+pub mod output;
 pub mod pipeline;
 mod progress;
 pub mod sink;

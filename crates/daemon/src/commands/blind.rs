@@ -4,7 +4,6 @@
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand};
@@ -24,6 +23,7 @@ use super::simulate::{OtherSignals, SignalsMessage, write_message};
 use crate::cli::Outcome;
 use crate::config::Config;
 use crate::failure::{Code, Failure};
+use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::progress_bar;
 use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
@@ -110,6 +110,8 @@ struct ScoreArguments {
     /// List what was answered wrong
     #[arg(long)]
     wrong: bool,
+    #[command(flatten)]
+    overwrite: OverwriteArguments,
 }
 
 /// Which signals a diagnosis sees.
@@ -188,16 +190,16 @@ fn plant(arguments: &PlantArguments) -> Result<Outcome, Failure> {
     cases.truncate(arguments.limit.unwrap_or(cases.len()));
     let bar = progress_bar(cases.len() as u64, "planting");
     cases.par_iter().try_for_each(|case| {
-        let path = arguments.logs.join(format!("{}.mcap", case.name));
-        write_case(&path, case, arguments.cycles.into())?;
+        let out = in_own_folder(&arguments.logs.join(format!("{}.mcap", case.name)))?;
+        write_case(&out, case, arguments.cycles.into())?;
         bar.inc(1);
         Ok(())
     })?;
     bar.finish_and_clear();
     let task = Task { without: cases.iter().map(|c| (c.name.clone(), c.without.clone())).collect() };
-    write_json(&arguments.logs.join(TASK), &task)?;
+    write_json(&in_own_folder(&arguments.logs.join(TASK))?, &task)?;
     let truths: BTreeMap<&str, &Truth> = cases.iter().map(|c| (c.name.as_str(), &c.truth)).collect();
-    write_json(&arguments.truth.join(TRUTH), &truths)?;
+    write_json(&in_own_folder(&arguments.truth.join(TRUTH))?, &truths)?;
     print(format!("{} logs\n", cases.len()).as_bytes())?;
     Ok(Outcome::Good)
 }
@@ -205,10 +207,9 @@ fn plant(arguments: &PlantArguments) -> Result<Outcome, Failure> {
 /// Standard deviations of the sensors' noise: command as a share, position in m, pressures in Pa (0.1 % of 200 bar), load in N.
 const NOISE: (f64, f64, f64, f64) = (1e-3, 1e-5, 2e4, 20.0);
 
-fn write_case(path: &Path, case: &Case, cycles: usize) -> Result<(), Failure> {
-    let writing = |error| Failure::writing(path, error);
-    let file = File::create(path).map_err(|error| Failure::writing(path, error))?;
-    let mut sink = McapSink::new(BufWriter::new(file), ChunkCompression::Zstd).map_err(writing)?;
+fn write_case(out: &Output, case: &Case, cycles: usize) -> Result<(), Failure> {
+    let writing = |error| Failure::writing(out.path(), error);
+    let mut sink = McapSink::new(out.create()?, ChunkCompression::Zstd).map_err(writing)?;
     let channel = sink.add_channel("/axis/signals", "seepd.Signals", schema::SIGNALS).map_err(writing)?;
     let mut noise = Noise::new(case.truth.seed, 11);
     let press = case.truth.press();
@@ -242,7 +243,8 @@ fn write_case(path: &Path, case: &Case, cycles: usize) -> Result<(), Failure> {
             format!("{}: the planted machine went out of bounds", case.name),
         ));
     }
-    sink.finish().map_err(writing)
+    sink.finish().map_err(writing)?;
+    sink.into_inner().finish()
 }
 
 #[expect(
@@ -259,7 +261,7 @@ fn diagnose(arguments: &DiagnoseArguments) -> Result<Outcome, Failure> {
     }
     let tool = std::env::current_exe().map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
     let hashes = Hashes { version: env!("CARGO_PKG_VERSION"), tool_sha256: hash(&tool)?, logs_sha256 };
-    write_json(&arguments.answers.join(HASHES), &hashes)?;
+    write_json(&in_own_folder(&arguments.answers.join(HASHES))?, &hashes)?;
     let views = arguments.view.map_or(View::ALL.to_vec(), |view| vec![view]);
     let spec = MachineSpec::default();
     let pool = pool(arguments.threads)?;
@@ -283,8 +285,8 @@ fn diagnose(arguments: &DiagnoseArguments) -> Result<Outcome, Failure> {
                 .map_err(|error| Failure::data(format!("{name}: {error}")))?;
             diagnosis.seconds = begin.elapsed().as_secs_f64();
             let plant = arguments.answers.join(format!("{name}.{}.toml", view.name()));
-            fs::write(&plant, emitted(machine)?).map_err(|error| Failure::writing(&plant, error))?;
-            write_json(&path, &diagnosis)?;
+            in_own_folder(&plant)?.write(emitted(machine)?)?;
+            write_json(&in_own_folder(&path)?, &diagnosis)?;
         }
     }
     bar.finish_and_clear();
@@ -292,7 +294,10 @@ fn diagnose(arguments: &DiagnoseArguments) -> Result<Outcome, Failure> {
 }
 
 fn tell_scores(arguments: &ScoreArguments) -> Result<Outcome, Failure> {
-    let truths: BTreeMap<String, Truth> = read_json(&arguments.truth.join(TRUTH))?;
+    let truth = arguments.truth.join(TRUTH);
+    let file = arguments.json.as_ref().filter(|path| *path != Path::new("-"));
+    let file = Outputs::new(arguments.overwrite, [truth.as_path()]).claim_any(file)?;
+    let truths: BTreeMap<String, Truth> = read_json(&truth)?;
     let mut scores = BTreeMap::new();
     for view in View::ALL {
         let mut answers = Vec::new();
@@ -314,12 +319,13 @@ fn tell_scores(arguments: &ScoreArguments) -> Result<Outcome, Failure> {
     if scores.is_empty() {
         return Err(Failure::data(format!("{}: no answers", arguments.answers.display())));
     }
-    if let Some(path) = &arguments.json {
-        if path == Path::new("-") {
+    match file {
+        Some(file) => write_json(&file, &scores)?,
+        None if arguments.json.is_some() => {
             print((json(&scores)? + "\n").as_bytes())?;
             return Ok(Outcome::Good);
         }
-        write_json(path, &scores)?;
+        None => {}
     }
     print(table(&scores, arguments.wrong).as_bytes())?;
     Ok(Outcome::Good)
@@ -410,8 +416,13 @@ fn json(value: &impl Serialize) -> Result<String, Failure> {
     serde_json::to_string_pretty(value).map_err(|error| Failure::new(Code::Internal, error.to_string()))
 }
 
-fn write_json(path: &Path, value: &impl Serialize) -> Result<(), Failure> {
-    fs::write(path, json(value)? + "\n").map_err(|error| Failure::writing(path, error))
+/// A file in a folder that is this command's own: new, or with answers that another run has left.
+fn in_own_folder(path: &Path) -> Result<Output, Failure> {
+    Outputs::new(OverwriteArguments { force: true }, []).claim(path)
+}
+
+fn write_json(file: &Output, value: &impl Serialize) -> Result<(), Failure> {
+    file.write(json(value)? + "\n")
 }
 
 fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Failure> {

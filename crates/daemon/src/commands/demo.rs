@@ -15,6 +15,7 @@ use crate::config::Config;
 use crate::event::{Event, Flag, FlagEvent};
 use crate::failure::Failure;
 use crate::html::demo::{DemoPage, FlagChange, Point};
+use crate::output::{Outputs, OverwriteArguments};
 use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use crate::sink::terminal::{self, Colour};
 use crate::source;
@@ -34,6 +35,8 @@ pub struct DemoArguments {
     /// Seed of noise and load
     #[arg(long, default_value_t = 1, value_name = "S")]
     seed: u64,
+    #[command(flatten)]
+    overwrite: OverwriteArguments,
 }
 
 /// Share of the cycles before the seal begins to wear.
@@ -53,19 +56,20 @@ const SHOWN_EVERY: u64 = 10;
 /// [`Failure`] where the folder cannot be written.
 pub fn run(arguments: &DemoArguments) -> Result<Outcome, Failure> {
     fs::create_dir_all(&arguments.folder).map_err(|error| Failure::writing(&arguments.folder, error))?;
-    let log = arguments.folder.join("press.mcap");
-    let html = arguments.folder.join("demo.html");
+    let mut outputs = Outputs::new(arguments.overwrite, []);
+    let log = outputs.claim(&arguments.folder.join("press.mcap"))?;
+    let html = outputs.claim(&arguments.folder.join("demo.html"))?;
     let turns = wear(arguments);
     let spec = MachineSpec::default();
     say(&format!("simulating {} cycles of a press whose seal wears …", arguments.cycles))?;
     let simulate =
         SimulateArguments { seed: arguments.seed, command_only: true, ..SimulateArguments::default() };
     write_log(&log, &simulate, &spec, &turns)?;
-    say(&format!("replaying {} with the embedded model …\n", log.display()))?;
-    let page = replay(&log, &spec, &turns[1..])?;
+    say(&format!("replaying {} with the embedded model …\n", log.path().display()))?;
+    let page = replay(log.path(), &spec, &turns[1..])?;
     print(&page)?;
-    fs::write(&html, page.render()).map_err(|error| Failure::writing(&html, error))?;
-    say(&format!("\nlog:  {}\npage: {}", log.display(), html.display()))?;
+    html.write(page.render())?;
+    say(&format!("\nlog:  {}\npage: {}", log.path().display(), html.path().display()))?;
     Ok(Outcome::Good)
 }
 

@@ -16,6 +16,7 @@ use crate::evaluation::record::MachineRecord;
 use crate::evaluation::{Conditions, Evaluation};
 use crate::failure::{Code, Failure};
 use crate::html::evaluation::EvaluationPage;
+use crate::output::{Outputs, OverwriteArguments};
 use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use crate::progress::{byte_bar, warn};
 use crate::sink::evaluation::write_tables;
@@ -62,6 +63,8 @@ pub struct EvaluateArguments {
     /// Write the tables and curves as one HTML page
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: OverwriteArguments,
 }
 
 /// How the truth is given.
@@ -103,6 +106,9 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
         return Err(Failure::new(Code::Usage, "--within-cycles is 0; it must be 1 or more"));
     }
     let (config, models) = arguments.reading.load()?;
+    let logs = arguments.logs.iter().map(PathBuf::as_path);
+    let inputs = logs.chain(arguments.reading.files(&config)).chain(arguments.baseline.file());
+    let html = Outputs::new(arguments.overwrite, inputs).claim_any(arguments.html.as_ref())?;
     let duty_cycles = DutyCycle::all(&models);
     let pipeline_config = PipelineConfig::new(&config, &duty_cycles);
     let conditions = Conditions {
@@ -135,9 +141,8 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
             evaluation.without_truth, evaluation.cycles
         ));
     }
-    if let Some(path) = &arguments.html {
-        fs::write(path, EvaluationPage { evaluation: &evaluation }.render())
-            .map_err(|error| Failure::writing(path, error))?;
+    if let Some(html) = html {
+        html.write(EvaluationPage { evaluation: &evaluation }.render())?;
     }
     let mut text = Vec::new();
     let written = if arguments.json {

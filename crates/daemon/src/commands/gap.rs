@@ -19,6 +19,7 @@ use crate::config::{Config, Selection};
 use crate::event::LPM_PER_M3_PER_S;
 use crate::failure::{Code, Failure};
 use crate::html::gap::GapPage;
+use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::progress_bar;
 use crate::sink::terminal::print;
 use crate::source;
@@ -64,6 +65,8 @@ pub struct GapArguments {
     /// Threads [default: one a core]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+    #[command(flatten)]
+    overwrite: OverwriteArguments,
 }
 
 #[derive(Debug, Subcommand)]
@@ -131,6 +134,7 @@ fn run_on<A: PlantFile>(
     let mut config = arguments.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
     config.selection = Selection { topic: arguments.topic.clone(), command: None };
     config.dbc = arguments.dbc.clone().or(config.dbc);
+    let outputs = GapOutputs::claim(arguments, path, &config)?;
     let (log, notes) = read(path, &config, spec)?;
     let bar = progress_bar(seepd_gap::diagnosis::STEPS as u64, "diagnosing");
     bar.enable_steady_tick(Duration::from_millis(200));
@@ -142,10 +146,38 @@ fn run_on<A: PlantFile>(
         diagnosed.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
     diagnosis.notes.extend(notes);
     diagnosis.seconds = begin.elapsed().as_secs_f64();
-    if let Some(path) = &arguments.emit_plant {
-        fs::write(path, emitted(machine)?).map_err(|error| Failure::writing(path, error))?;
+    if let Some(emit_plant) = &outputs.emit_plant {
+        emit_plant.write(emitted(machine)?)?;
     }
-    write(arguments, path, plant, &diagnosis)
+    write(&outputs, path, plant, &diagnosis)
+}
+
+/// Where a diagnosis goes.
+struct GapOutputs {
+    json: Option<JsonOutput>,
+    html: Option<Output>,
+    emit_plant: Option<Output>,
+}
+
+enum JsonOutput {
+    /// In the place of the report.
+    Standard,
+    File(Output),
+}
+
+impl GapOutputs {
+    fn claim(arguments: &GapArguments, log: &Path, config: &Config) -> Result<Self, Failure> {
+        let named = [&arguments.plant, &arguments.config].into_iter().flatten().map(PathBuf::as_path);
+        let mut outputs =
+            Outputs::new(arguments.overwrite, [log].into_iter().chain(named).chain(config.files()));
+        let json = match &arguments.json {
+            Some(path) if path == Path::new("-") => Some(JsonOutput::Standard),
+            Some(path) => Some(JsonOutput::File(outputs.claim(path)?)),
+            None => None,
+        };
+        let html = outputs.claim_any(arguments.html.as_ref())?;
+        Ok(GapOutputs { json, html, emit_plant: outputs.claim_any(arguments.emit_plant.as_ref())? })
+    }
 }
 
 /// The pool of threads that a diagnosis runs in.
@@ -209,26 +241,28 @@ pub(super) fn emitted<A: PlantFile>(mut machine: A) -> Result<String, Failure> {
 }
 
 fn write(
-    arguments: &GapArguments,
+    outputs: &GapOutputs,
     log: &Path,
     plant: Option<&PlantParameters>,
     diagnosis: &Diagnosis,
 ) -> Result<Outcome, Failure> {
-    if let Some(path) = &arguments.html {
+    if let Some(html) = &outputs.html {
         let log = log.display().to_string();
         let page = GapPage { log: &log, headline: &headline(diagnosis), diagnosis, plant };
-        fs::write(path, page.render()).map_err(|error| Failure::writing(path, error))?;
+        html.write(page.render())?;
     }
-    if let Some(path) = &arguments.json {
+    if let Some(json) = &outputs.json {
         let mut text = serde_json::to_string_pretty(diagnosis).map_err(|error| {
             Failure::new(Code::Internal, format!("writing the diagnosis as JSON: {error}"))
         })?;
         text.push('\n');
-        if path == Path::new("-") {
-            print(text.as_bytes())?;
-            return Ok(Outcome::Good);
+        match json {
+            JsonOutput::Standard => {
+                print(text.as_bytes())?;
+                return Ok(Outcome::Good);
+            }
+            JsonOutput::File(file) => file.write(text)?,
         }
-        fs::write(path, text).map_err(|error| Failure::writing(path, error))?;
     }
     print(report(plant, diagnosis).as_bytes())?;
     Ok(Outcome::Good)

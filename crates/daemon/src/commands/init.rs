@@ -11,6 +11,7 @@ use crate::can::dbc::Dbc;
 use crate::cli::Outcome;
 use crate::config::Config;
 use crate::failure::{Code, Failure};
+use crate::output::{Outputs, OverwriteArguments};
 use crate::source::survey::LogSurvey;
 
 /// Listens on a CAN interface (or looks into a log), proposes where the signals are, and writes a configuration for `run`.
@@ -34,9 +35,8 @@ pub struct InitArguments {
     /// Configuration to write
     #[arg(long, default_value = "/etc/seepd/seepd.toml", value_name = "FILE")]
     out: PathBuf,
-    /// Write over a configuration that is there
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    overwrite: OverwriteArguments,
 }
 
 /// Runs the command.
@@ -44,17 +44,15 @@ pub struct InitArguments {
 /// # Errors
 /// [`Failure`] where nothing is heard, or the file is there already or cannot be written.
 pub fn run(arguments: &InitArguments) -> Result<Outcome, Failure> {
-    if arguments.out.exists() && !arguments.force {
-        let message = format!("{} is there already; --force writes over it", arguments.out.display());
-        return Err(Failure::new(Code::Usage, message));
-    }
+    let inputs = [Some(&arguments.place), arguments.dbc.as_ref()].into_iter().flatten();
+    let target = Outputs::new(arguments.overwrite, inputs.map(PathBuf::as_path)).claim(&arguments.out)?;
     let dbc = arguments.dbc.as_deref().map(Dbc::read).transpose()?;
     let found = look(&arguments.place, "t_s", dbc.as_ref(), arguments.seconds)?;
     let text = configuration(arguments, &found);
     Config::parse(&text).map_err(|message| {
         Failure::new(Code::Usage, format!("what you gave makes no configuration: {message}"))
     })?;
-    fs::write(&arguments.out, text).map_err(|error| Failure::writing(&arguments.out, error))?;
+    target.write(text)?;
     let mut out = io::stderr().lock();
     // Where nobody reads this, the file still counts.
     let _ = writeln!(out, "{}: {} identifiers or topics seen", found.file, found.topics.len());

@@ -12,6 +12,7 @@ use crate::baseline::{Baseline, BaselineFile, MOST_CYCLES};
 use crate::cli::Outcome;
 use crate::config::{Config, NamedModel};
 use crate::failure::{Code, Failure};
+use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use crate::progress::{byte_bar, warn};
 use crate::sink::terminal::print;
@@ -33,14 +34,13 @@ pub struct LearnBaselineArguments {
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
     /// Add to the file's record: the seal has been replaced, and estimates count from here; the older baselines stay in the file
-    #[arg(long)]
+    #[arg(long, conflicts_with = "force")]
     seal_replaced: bool,
     /// Why the baseline is learned, in a few words [default: `commissioning`, or `seal replaced`]
     #[arg(long, value_name = "TEXT")]
     occasion: Option<String>,
-    /// Write over a file that exists: its record is lost
-    #[arg(long, conflicts_with = "seal_replaced")]
-    force: bool,
+    #[command(flatten)]
+    overwrite: OverwriteArguments,
     /// The duty cycle whose baseline is learned, where the configuration has several
     #[arg(long, value_name = "NAME")]
     duty_cycle: Option<String>,
@@ -64,13 +64,12 @@ pub fn run(arguments: &LearnBaselineArguments) -> Result<Outcome, Failure> {
     let which = chosen(arguments.duty_cycle.as_deref(), &models)?;
     let model = &models[which].model;
     let mut file = record_of(arguments, &config, model)?;
+    let out = claim(arguments, &config)?;
     let usual = if arguments.seal_replaced { "seal replaced" } else { "commissioning" };
     let occasion = arguments.occasion.as_deref().unwrap_or(usual);
     let baseline = learn(arguments, &config, (&models, which), occasion)?;
     file.baselines.push(baseline);
-    let writing = |error: io::Error| Failure::writing(&arguments.out, error);
-    let text = file.to_json().map_err(io::Error::from).map_err(writing)?;
-    fs::write(&arguments.out, text).map_err(writing)?;
+    out.write(file.to_json().map_err(|error| Failure::writing(&arguments.out, error))?)?;
     if let Some(baseline) = file.newest() {
         tell(arguments, model, baseline)?;
     }
@@ -103,7 +102,7 @@ fn record_of(
     let path = &arguments.out;
     match (arguments.seal_replaced, path.exists()) {
         (true, _) => BaselineFile::read(path, model),
-        (false, true) if !arguments.force => Err(Failure::new(
+        (false, true) if !arguments.overwrite.force => Err(Failure::new(
             Code::Usage,
             format!(
                 "{}: is there already; --seal-replaced adds to its record, --force begins anew",
@@ -112,6 +111,15 @@ fn record_of(
         )),
         _ => Ok(BaselineFile::new(&config.axis, model)),
     }
+}
+
+/// The file to write. What it holds may be what the configuration names as baseline: it is read before it is written.
+fn claim(arguments: &LearnBaselineArguments, config: &Config) -> Result<Output, Failure> {
+    let force = arguments.overwrite.force || arguments.seal_replaced;
+    let beside =
+        arguments.reading.files(config).filter(|file| !config.baseline_files().contains(&Some(*file)));
+    let inputs = arguments.logs.iter().map(PathBuf::as_path).chain(beside);
+    Outputs::new(OverwriteArguments { force }, inputs).claim(&arguments.out)
 }
 
 fn learn(

@@ -1,6 +1,6 @@
 //! Where a command that reads logs finds the signals, the model and the baseline.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -30,6 +30,11 @@ pub struct ReadingArguments {
 }
 
 impl ReadingArguments {
+    /// The files that a command with these arguments reads beside its logs.
+    pub fn files<'a>(&'a self, config: &'a Config) -> impl Iterator<Item = &'a Path> {
+        self.config.as_deref().into_iter().chain(config.files())
+    }
+
     /// The configuration with what the command line says on top, and each duty cycle's model.
     ///
     /// # Errors
@@ -62,6 +67,11 @@ pub struct BaselineArguments {
 }
 
 impl BaselineArguments {
+    /// The file that is named, if one is.
+    pub fn file(&self) -> Option<&Path> {
+        self.baseline.as_deref()
+    }
+
     /// Takes the baselines that command line or configuration name, and gives the files' records, one a duty cycle.
     ///
     /// # Errors

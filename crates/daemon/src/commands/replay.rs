@@ -1,6 +1,6 @@
 //! `seepd replay`: logs in, leak by cycle out.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
@@ -13,6 +13,7 @@ use crate::config::Config;
 use crate::event::{Event, Flag, Summary};
 use crate::failure::{Code, Failure};
 use crate::html::report::ReportPage;
+use crate::output::{Output, OutputFile, Outputs, OverwriteArguments};
 use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use crate::progress::byte_bar;
 use crate::sink::csv::CsvSink;
@@ -62,14 +63,15 @@ pub struct ReplayArguments {
     /// Exit with 1 if a flag rose above healthy
     #[arg(long)]
     fail_on_fault: bool,
+    #[command(flatten)]
+    overwrite: OverwriteArguments,
 }
 
 /// Where events go besides standard output.
-#[derive(Default)]
 struct Files {
-    csv: Option<CsvSink<BufWriter<File>>>,
-    mcap: Option<EventSink<BufWriter<File>>>,
-    html: Option<HtmlSink>,
+    csv: Option<CsvSink<OutputFile>>,
+    mcap: Option<EventSink<OutputFile>>,
+    html: Option<(Output, HtmlSink)>,
 }
 
 /// Runs the command.
@@ -90,23 +92,11 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     let duty_cycles = DutyCycle::all(&models);
     let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &duty_cycles));
     let mut records = arguments.baseline.apply(&mut pipeline, &config)?;
-    let create =
-        |path: &Path| File::create(path).map(BufWriter::new).map_err(|error| Failure::writing(path, error));
-    let mut files = Files::default();
-    if let Some(path) = &arguments.csv {
-        files.csv = Some(CsvSink::new(create(path)?, DutyCycle::feature_names(&duty_cycles)));
-    }
-    if let Some(path) = &arguments.mcap {
-        files.mcap = Some(EventSink::new(create(path)?).map_err(|error| Failure::writing(path, error))?);
-    }
-    if arguments.html.is_some() {
-        let healthy_below_lpm = config.alarm.clear_share * config.alarm.watch_lpm;
-        files.html = Some(HtmlSink::new(&duty_cycles, healthy_below_lpm));
-    }
+    let mut files = Files::begin(arguments, &config, &duty_cycles)?;
     let mut out = Printer::new(arguments, config.reference_dp_pa);
     let notes = replay_logs(arguments, &config, &mut pipeline, &mut files, &mut out)?;
     let summary = pipeline.summary();
-    if let (Some(path), Some(record)) = (&arguments.html, &files.html) {
+    if let Some((output, record)) = &files.html {
         for (record, monitor) in records.iter_mut().zip(pipeline.monitors()) {
             // One that was learned on the way.
             record.extend(monitor.baseline().filter(|own| record.last() != Some(own)).cloned());
@@ -121,7 +111,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
             operating_hours_per_year: config.operating_hours_per_year,
             baselines: &baselines,
         };
-        fs::write(path, page.render()).map_err(|error| Failure::writing(path, error))?;
+        output.write(page.render())?;
     }
     files.finish(arguments)?;
     for note in notes {
@@ -155,13 +145,13 @@ fn replay_logs(
     for path in &arguments.logs {
         let mut source = source::open_with(path, config, &bar)?;
         let name = path.display().to_string();
-        if let Some(html) = &mut files.html {
+        if let Some((_, html)) = &mut files.html {
             html.begin_log(&name);
         }
         clock.begin(path);
         while let Some(mut sample) = source.next_sample()? {
             sample.time_ns = clock.in_one_record(sample.time_ns);
-            if let Some(html) = &mut files.html {
+            if let Some((_, html)) = &mut files.html {
                 html.take_sample(&sample);
             }
             pipeline.push(&sample, &mut |event| {
@@ -172,7 +162,7 @@ fn replay_logs(
         }
         let mut of_log = source.notes();
         of_log.extend(clock.note(&name));
-        if let Some(html) = &mut files.html {
+        if let Some((_, html)) = &mut files.html {
             html.end_log(&of_log);
         }
         notes.extend(of_log);
@@ -187,6 +177,30 @@ fn replay_logs(
 }
 
 impl Files {
+    fn begin(
+        arguments: &ReplayArguments,
+        config: &Config,
+        duty_cycles: &[DutyCycle<'_>],
+    ) -> Result<Self, Failure> {
+        let logs = arguments.logs.iter().map(PathBuf::as_path);
+        let inputs = logs.chain(arguments.reading.files(config)).chain(arguments.baseline.file());
+        let mut outputs = Outputs::new(arguments.overwrite, inputs);
+        // All are claimed before the first is begun.
+        let csv = outputs.claim_any(arguments.csv.as_ref())?;
+        let mcap = outputs.claim_any(arguments.mcap.as_ref())?;
+        let html = outputs.claim_any(arguments.html.as_ref())?;
+        let event_sink = |output: &Output| {
+            EventSink::new(output.create()?).map_err(|error| Failure::writing(output.path(), error))
+        };
+        let csv = csv.map(|output| output.create()).transpose()?;
+        let healthy_below_lpm = config.alarm.clear_share * config.alarm.watch_lpm;
+        Ok(Files {
+            csv: csv.map(|file| CsvSink::new(file, DutyCycle::feature_names(duty_cycles))),
+            mcap: mcap.as_ref().map(event_sink).transpose()?,
+            html: html.map(|output| (output, HtmlSink::new(duty_cycles, healthy_below_lpm))),
+        })
+    }
+
     fn write(&mut self, arguments: &ReplayArguments, event: &Event<'_>) -> Result<(), Failure> {
         if let (Some(sink), Some(path)) = (&mut self.csv, &arguments.csv) {
             sink.write_event(event).map_err(|error| Failure::writing(path, error))?;
@@ -194,7 +208,7 @@ impl Files {
         if let (Some(sink), Some(path)) = (&mut self.mcap, &arguments.mcap) {
             sink.write_event(event).map_err(|error| Failure::writing(path, error))?;
         }
-        if let Some(sink) = &mut self.html {
+        if let Some((_, sink)) = &mut self.html {
             sink.take_event(event);
         }
         Ok(())
@@ -202,10 +216,10 @@ impl Files {
 
     fn finish(self, arguments: &ReplayArguments) -> Result<(), Failure> {
         if let (Some(sink), Some(path)) = (self.csv, &arguments.csv) {
-            sink.finish().map_err(|error| Failure::writing(path, error))?;
+            sink.finish().map_err(|error| Failure::writing(path, error))?.finish()?;
         }
         if let (Some(sink), Some(path)) = (self.mcap, &arguments.mcap) {
-            sink.finish().map_err(|error| Failure::writing(path, error))?;
+            sink.finish().map_err(|error| Failure::writing(path, error))?.finish()?;
         }
         Ok(())
     }

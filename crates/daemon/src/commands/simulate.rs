@@ -1,8 +1,8 @@
 //! `seepd simulate`: the log of a simulated machine.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::{self, BufWriter};
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -15,6 +15,7 @@ use serde::Serialize;
 
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
+use crate::output::{Output, OutputFile, Outputs, OverwriteArguments};
 use crate::progress::{progress_bar, warn};
 use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
@@ -94,6 +95,9 @@ pub struct SimulateArguments {
     /// Prefix of the topics
     #[arg(long, default_value = "/axis", value_name = "PREFIX")]
     pub topic_prefix: String,
+    /// What becomes of a log that is there already
+    #[command(flatten)]
+    pub overwrite: OverwriteArguments,
 }
 
 impl Default for SimulateArguments {
@@ -121,6 +125,7 @@ impl Default for SimulateArguments {
             no_truth: false,
             compression: ChunkCompression::default(),
             topic_prefix: "/axis".into(),
+            overwrite: OverwriteArguments::default(),
         }
     }
 }
@@ -139,7 +144,8 @@ pub fn run(arguments: &SimulateArguments) -> Result<Outcome, Failure> {
     let Some(out) = &arguments.out else {
         return Err(Failure::new(Code::Usage, "name the log to write: --out FILE"));
     };
-    write_log(out, arguments, &spec, &turns)?;
+    let out = Outputs::new(arguments.overwrite, arguments.plant.as_deref()).claim(out)?;
+    write_log(&out, arguments, &spec, &turns)?;
     Ok(Outcome::Good)
 }
 
@@ -304,14 +310,13 @@ impl SignalsMessage {
 /// # Errors
 /// [`Failure`] where the log cannot be written or the simulation went out of bounds.
 pub fn write_log(
-    path: &Path,
+    out: &Output,
     arguments: &SimulateArguments,
     spec: &MachineSpec,
     turns: &[Turn],
 ) -> Result<(), Failure> {
-    let writing = |error: io::Error| Failure::writing(path, error);
-    let file = File::create(path).map_err(|error| Failure::writing(path, error))?;
-    let mut sink = McapSink::new(BufWriter::new(file), arguments.compression).map_err(writing)?;
+    let writing = |error: io::Error| Failure::writing(out.path(), error);
+    let mut sink = McapSink::new(out.create()?, arguments.compression).map_err(writing)?;
     let prefix = &arguments.topic_prefix;
     let signals =
         sink.add_channel(&format!("{prefix}/signals"), "seepd.Signals", schema::SIGNALS).map_err(writing)?;
@@ -364,6 +369,7 @@ pub fn write_log(
     }
     bar.finish_and_clear();
     sink.finish().map_err(writing)?;
+    sink.into_inner().finish()?;
     if state.clamped_pressures > 0 {
         warn(&format!(
             "a pressure was held at 0 in {} plant steps: cavitation is not modelled",
@@ -374,7 +380,7 @@ pub fn write_log(
 }
 
 pub(super) fn write_message(
-    sink: &mut McapSink<BufWriter<File>>,
+    sink: &mut McapSink<OutputFile>,
     channel: u16,
     time_ns: i64,
     line: &mut Vec<u8>,
@@ -387,7 +393,7 @@ pub(super) fn write_message(
 
 /// Plant, seed and version go with the log.
 fn write_provenance(
-    sink: &mut McapSink<BufWriter<File>>,
+    sink: &mut McapSink<OutputFile>,
     arguments: &SimulateArguments,
     spec: &MachineSpec,
 ) -> io::Result<()> {

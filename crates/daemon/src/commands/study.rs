@@ -1,6 +1,5 @@
 //! `seepd study`: the source article again.
 
-use std::fs;
 use std::path::PathBuf;
 
 use clap::Args;
@@ -9,6 +8,7 @@ use crate::cli::Outcome;
 use crate::config::embedded_model;
 use crate::failure::{Code, Failure};
 use crate::html::study::StudyPage;
+use crate::output::{Outputs, OverwriteArguments};
 use crate::progress::progress_bar;
 use crate::sink::terminal::print;
 
@@ -28,6 +28,8 @@ pub struct StudyArguments {
     /// Seed of machines, noise, trees and embeddings
     #[arg(long, default_value_t = 1, value_name = "S")]
     seed: u64,
+    #[command(flatten)]
+    overwrite: OverwriteArguments,
 }
 
 /// Runs the command.
@@ -36,13 +38,14 @@ pub struct StudyArguments {
 /// [`Failure`] where the page cannot be written.
 pub fn run(arguments: &StudyArguments) -> Result<Outcome, Failure> {
     let model = embedded_model()?;
+    let out = Outputs::new(arguments.overwrite, []).claim(&arguments.out)?;
     let bar = progress_bar(seepd_study::STEPS as u64, "studying");
     bar.enable_steady_tick(std::time::Duration::from_millis(200));
     let study = seepd_study::run(&model, arguments.seed, &mut |done| bar.set_position(done as u64))
         .map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
     bar.finish_and_clear();
     let page = StudyPage { study: &study };
-    fs::write(&arguments.out, page.render()).map_err(|error| Failure::writing(&arguments.out, error))?;
+    out.write(page.render())?;
     if arguments.json {
         let text = serde_json::to_string(&study)
             .map_err(|error| Failure::new(Code::Internal, format!("writing the study as JSON: {error}")))?;

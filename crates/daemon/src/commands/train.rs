@@ -1,8 +1,7 @@
 //! `seepd train`: a model from a simulated machine.
 
-use std::fs;
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Args;
 use seepd_train::relative::{RelativeAccuracy, RelativeReport};
@@ -14,6 +13,7 @@ use serde::Serialize;
 use super::simulate::read_plant;
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
+use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::progress_bar;
 use crate::sink::terminal::print;
 
@@ -67,6 +67,8 @@ pub struct TrainArguments {
     /// Loads differ within ± this share
     #[arg(long, default_value_t = Spread::default().load, value_name = "SHARE")]
     load_spread: f64,
+    #[command(flatten)]
+    overwrite: OverwriteArguments,
 }
 
 /// Machines that `--full` measures relative estimates on.
@@ -95,6 +97,8 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
         }
     }
     let spec = read_plant(arguments.plant.as_deref())?;
+    let mut outputs = Outputs::new(arguments.overwrite, arguments.plant.as_deref());
+    let (out, data) = (outputs.claim(&arguments.out)?, outputs.claim_any(arguments.data.as_ref())?);
     let settings = Settings {
         seed: arguments.seed,
         observations: arguments.observations,
@@ -123,9 +127,9 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
     })
     .map_err(|error| failure(&error))?;
     bar.finish_and_clear();
-    fs::write(&arguments.out, &trained.json).map_err(|error| Failure::writing(&arguments.out, error))?;
-    if let Some(path) = &arguments.data {
-        write_data(path, &trained).map_err(|error| Failure::writing(path, error))?;
+    out.write(&trained.json)?;
+    if let Some(data) = data {
+        write_data(&data, &trained)?;
     }
     let mut report = Vec::new();
     if arguments.json {
@@ -165,8 +169,14 @@ struct JsonReport<'a> {
     relative: Option<&'a RelativeReport>,
 }
 
-fn write_data(path: &Path, trained: &Trained) -> Result<(), csv::Error> {
-    let mut writer = csv::Writer::from_path(path)?;
+fn write_data(out: &Output, trained: &Trained) -> Result<(), Failure> {
+    let mut file = out.create()?;
+    write_rows(&mut file, trained).map_err(|error| Failure::writing(out.path(), error))?;
+    file.finish()
+}
+
+fn write_rows(out: &mut impl Write, trained: &Trained) -> Result<(), csv::Error> {
+    let mut writer = csv::Writer::from_writer(out);
     let names = trained.model.feature_names().iter().map(String::as_str);
     writer.write_record(names.chain(["leak_area_m2"]))?;
     for (index, leak_area_m2) in trained.learned.target.iter().enumerate() {

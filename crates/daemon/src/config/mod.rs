@@ -362,6 +362,13 @@ impl Config {
         Ok(models)
     }
 
+    /// The files that reading a log by this configuration reads beside the log.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        let of_axis = [&self.model, &self.dbc].into_iter().flatten().map(PathBuf::as_path);
+        let models = self.duty_cycles.iter().map(|duty_cycle| duty_cycle.model.as_path());
+        of_axis.chain(models).chain(self.baseline_files().into_iter().flatten())
+    }
+
     /// Each duty cycle's baseline file, where the configuration names one, in their order.
     pub fn baseline_files(&self) -> Vec<Option<&Path>> {
         if self.duty_cycles.is_empty() {

@@ -74,12 +74,13 @@ impl<W: Write> CsvSink<W> {
         row
     }
 
-    /// Writes what is still buffered; the header too, if there was no cycle.
+    /// Writes what is still buffered, the header too, if there was no cycle; gives back what the rows were written into.
     ///
     /// # Errors
     /// Writing failed.
-    pub fn finish(mut self) -> io::Result<()> {
+    pub fn finish(mut self) -> io::Result<W> {
         self.write_header()?;
-        self.writer.flush()
+        self.writer.flush()?;
+        self.writer.into_inner().map_err(|error| io::Error::other(error.to_string()))
     }
 }

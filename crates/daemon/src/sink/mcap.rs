@@ -2,9 +2,10 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io::{self, Seek, Write};
+use std::io::{self, Write};
 
 use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
 use crate::event::Event;
@@ -36,12 +37,12 @@ fn plainly(error: McapError) -> io::Error {
 }
 
 /// Writes messages to channels.
-pub struct McapSink<W: Write + Seek> {
-    writer: Writer<W>,
+pub struct McapSink<W: Write> {
+    writer: Writer<NoSeek<W>>,
     sequence: BTreeMap<u16, u32>,
 }
 
-impl<W: Write + Seek> McapSink<W> {
+impl<W: Write> McapSink<W> {
     /// Begins a file.
     ///
     /// # Errors
@@ -52,12 +53,8 @@ impl<W: Write + Seek> McapSink<W> {
             ChunkCompression::Lz4 => Some(Compression::Lz4),
             ChunkCompression::None => None,
         };
-        let options = WriteOptions::new()
-            .profile("")
-            .library(LIBRARY)
-            .compression(compression)
-            .chunk_size(Some(CHUNK_BYTES));
-        Ok(McapSink { writer: options.create(out).map_err(plainly)?, sequence: BTreeMap::new() })
+        let options = WriteOptions::new().profile("").library(LIBRARY).compression(compression);
+        Self::begin(options, out)
     }
 
     /// Begins a file that may be cut short at any moment: whole chunks, which [`flush`](Self::flush) closes.
@@ -66,13 +63,15 @@ impl<W: Write + Seek> McapSink<W> {
     /// Writing failed.
     #[cfg(feature = "live")]
     pub fn new_for_recording(out: W) -> io::Result<Self> {
-        let options = WriteOptions::new()
-            .profile("")
-            .library(LIBRARY)
-            .compression(Some(Compression::Lz4))
-            .disable_seeking(true)
-            .chunk_size(Some(CHUNK_BYTES));
-        Ok(McapSink { writer: options.create(out).map_err(plainly)?, sequence: BTreeMap::new() })
+        let options = WriteOptions::new().profile("").library(LIBRARY).compression(Some(Compression::Lz4));
+        Self::begin(options, out)
+    }
+
+    /// Chunks are written whole: a pipe cannot go back, and `/dev/null` does not know where it is.
+    fn begin(options: WriteOptions, out: W) -> io::Result<Self> {
+        let options = options.disable_seeking(true).chunk_size(Some(CHUNK_BYTES));
+        let writer = options.create(NoSeek::new(out)).map_err(plainly)?;
+        Ok(McapSink { writer, sequence: BTreeMap::new() })
     }
 
     /// Closes the open chunk and hands it to the system.
@@ -135,6 +134,11 @@ impl<W: Write + Seek> McapSink<W> {
     pub fn finish(&mut self) -> io::Result<()> {
         self.writer.finish().map(drop).map_err(plainly)
     }
+
+    /// What the file was written into.
+    pub fn into_inner(self) -> W {
+        self.writer.into_inner().into_inner()
+    }
 }
 
 /// Schemas of what is written.
@@ -155,7 +159,7 @@ pub mod schema {
 }
 
 /// Writes cycles to `/axis/leakage`, changes of flag to `/axis/flags` and notices to `/axis/notices`.
-pub struct EventSink<W: Write + Seek> {
+pub struct EventSink<W: Write> {
     sink: McapSink<W>,
     leakage: u16,
     flags: u16,
@@ -163,7 +167,7 @@ pub struct EventSink<W: Write + Seek> {
     line: Vec<u8>,
 }
 
-impl<W: Write + Seek> EventSink<W> {
+impl<W: Write> EventSink<W> {
     /// Begins a file.
     ///
     /// # Errors
@@ -195,11 +199,12 @@ impl<W: Write + Seek> EventSink<W> {
         self.sink.write(channel, time_ns, &self.line)
     }
 
-    /// Writes index and footer.
+    /// Writes index and footer, and gives back what the file was written into.
     ///
     /// # Errors
     /// Writing failed.
-    pub fn finish(mut self) -> io::Result<()> {
-        self.sink.finish()
+    pub fn finish(mut self) -> io::Result<W> {
+        self.sink.finish()?;
+        Ok(self.sink.into_inner())
     }
 }
