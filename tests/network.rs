@@ -10,13 +10,14 @@ mod support;
 
 use std::fs;
 use std::io::Write;
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use daemon::{Daemon, Mosquitto, ask, axis_status, free_port, has, json, machine_toml, until};
 use serde_json::Value;
-use support::simulate;
+use support::{simulate, stderr};
 
 const SOON: Duration = Duration::from_secs(15);
 
@@ -167,4 +168,63 @@ fn an_order_to_an_axis_that_cannot_run_says_so() {
         assert_eq!(told("other"), (404, "there is no axis other; the axes are good, press-1".into()));
         assert_eq!(told("good"), (202, String::new()));
     }
+}
+
+#[test]
+fn idle_connections_leave_descriptors_for_the_rest() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let config = format!(
+        "axis = \"press-1\"\nstate_dir = \"state\"\n{}[http]\nlisten = \"127.0.0.1:{port}\"\n",
+        machine_toml(&folder.path().join("in.sock"))
+    );
+    let daemon = Daemon::start(folder.path(), &config);
+    until("an answer", SOON, || axis_status(port).is_some());
+    let open = || fs::read_dir(format!("/proc/{}/fd", daemon.child.id())).unwrap().count();
+    let before = open();
+    let idle: Vec<TcpStream> = (0..220).map(|_| TcpStream::connect(("127.0.0.1", port)).unwrap()).collect();
+    until("as many as are taken", SOON, || daemon.words().contains("128 connections are open"));
+    assert!((1..=before + 128).contains(&open()), "{before} descriptors before, {} then", open());
+    // Once they go, the others have their turn.
+    drop(idle);
+    until("an answer", SOON, || axis_status(port).is_some());
+}
+
+#[test]
+fn the_page_shows_the_chosen_axis_alone_and_what_was_told_before() {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/browser/axes.cjs");
+    let modules = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/node/node_modules");
+    if !has("chromium") || !has("node") || !modules.join("playwright-core").exists() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("worn.mcap");
+    simulate(&log, &["--cycles", "8", "--leak-area", "1e-7", "--leak-growth", "3e-7"]);
+    let port = free_port();
+    let silent = machine_toml(&folder.path().join("in.sock"));
+    let silent = silent.replace("[source]", "[axes.source]").replace("[signals", "[axes.signals");
+    let config = format!(
+        "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n[[axes]]\naxis = \"silent\"\n{silent}\
+         [[axes]]\naxis = \"worn\"\n[axes.alarm]\nraise_cycles = 1\n[axes.source]\nlog = \"{}\"\npace = \"fast\"\n",
+        log.display()
+    );
+    let _daemon = Daemon::start(folder.path(), &config);
+    until("the end of the log", SOON, || {
+        let worn = ask(port, "GET", "/api/v1/axes/worn", "");
+        worn.is_some_and(|answer| answer.json()["source"]["state"] == "ended")
+    });
+    let history = json(port, "/api/v1/history");
+    let raised: Vec<&Value> =
+        history.as_array().unwrap().iter().filter(|event| event["axis"] == "worn").collect();
+    assert!(raised.iter().any(|event| event["flag_to"] == "leak"), "{history}");
+    let pictures =
+        std::env::var_os("SEEPD_SCREENSHOTS").map_or_else(|| folder.path().to_owned(), PathBuf::from);
+    let output = Command::new("node")
+        .arg(script)
+        .arg(format!("http://localhost:{port}/"))
+        .arg(&pictures)
+        .env("NODE_PATH", modules)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
 }

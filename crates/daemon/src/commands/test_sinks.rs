@@ -151,9 +151,9 @@ async fn test_recording(config: &RecordingConfig, all: &Config, axis: &str) -> R
     let folder = config.folder.clone().unwrap_or_else(|| state_folder(all).join("recordings"));
     let (recorder, thread) = recording::start(config, &folder, vec![axis.into()], Arc::clone(&hub))
         .map_err(|failure| failure.message)?;
-    let mut events = hub.subscribe();
+    let mut events = hub.subscribe(1);
     hub.publish_test(axis, Clock::start().now_ns());
-    if let Ok(event) = events.try_recv() {
+    if let Some(event) = events.try_recv() {
         recorder.event(&event);
     }
     let end = tokio::task::spawn_blocking(move || {

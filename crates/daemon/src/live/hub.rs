@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::{Deserialize, Serialize};
@@ -19,6 +20,8 @@ use crate::source::live::SourceHealth;
 const COURSES: usize = 6;
 /// Estimates kept for the trend; when there are as many, every second one goes.
 const TREND: usize = 2000;
+/// Events other than cycles that are kept for who asks later.
+const HISTORY: usize = 50;
 /// Points of the live command that are kept.
 pub const LIVE_POINTS: usize = 1500;
 
@@ -377,11 +380,55 @@ impl fmt::Display for NotTaken {
     }
 }
 
+/// Events on their way to one that hears them.
+pub struct Subscription {
+    events: mpsc::Receiver<Arc<Publication>>,
+    lost: Arc<AtomicU64>,
+}
+
+impl Subscription {
+    /// The next event. May be dropped while it waits.
+    pub async fn recv(&mut self) -> Option<Arc<Publication>> {
+        self.events.recv().await
+    }
+
+    /// The next event, if it is there.
+    pub fn try_recv(&mut self) -> Option<Arc<Publication>> {
+        self.events.try_recv().ok()
+    }
+
+    /// Events that found no room since this was last asked.
+    pub fn lost(&self) -> u64 {
+        self.lost.swap(0, Ordering::Relaxed)
+    }
+}
+
+/// The hub's end of a [`Subscription`].
+struct Subscriber {
+    events: mpsc::Sender<Arc<Publication>>,
+    lost: Arc<AtomicU64>,
+}
+
+impl Subscriber {
+    /// Hands an event on, or counts it: who publishes waits for nobody. `false` where nobody hears any more.
+    fn hand(&self, publication: &Arc<Publication>) -> bool {
+        match self.events.try_send(Arc::clone(publication)) {
+            Ok(()) => true,
+            Err(TrySendError::Full(_)) => {
+                self.lost.fetch_add(1, Ordering::Relaxed);
+                true
+            }
+            Err(TrySendError::Closed(_)) => false,
+        }
+    }
+}
+
 #[derive(Default)]
 struct Inner {
     axes: BTreeMap<String, Axis>,
     sinks: BTreeMap<String, SinkStatus>,
-    subscribers: Vec<mpsc::UnboundedSender<Arc<Publication>>>,
+    subscribers: Vec<Subscriber>,
+    history: VecDeque<Arc<Publication>>,
     published: u64,
 }
 
@@ -491,11 +538,17 @@ impl Hub {
         self.changed.subscribe()
     }
 
-    /// Every event from now on.
-    pub fn subscribe(&self) -> mpsc::UnboundedReceiver<Arc<Publication>> {
-        let (sender, receiver) = mpsc::unbounded_channel();
-        self.lock().subscribers.push(sender);
-        receiver
+    /// Every event from now on; those that find so many before them are lost and counted.
+    pub fn subscribe(&self, most: usize) -> Subscription {
+        let (sender, events) = mpsc::channel(most);
+        let lost = Arc::new(AtomicU64::new(0));
+        self.lock().subscribers.push(Subscriber { events: sender, lost: Arc::clone(&lost) });
+        Subscription { events, lost }
+    }
+
+    /// The last events that are no cycles, oldest first.
+    pub fn history(&self) -> Vec<Arc<Publication>> {
+        self.lock().history.iter().cloned().collect()
     }
 
     /// Publishes an event of the pipeline.
@@ -535,13 +588,47 @@ impl Hub {
         let json = serde_json::to_string(&envelope).unwrap_or_default();
         let event_json = serde_json::to_string(event).unwrap_or_default();
         let publication = Arc::new(Publication { kind, axis: axis.to_owned(), t_ns, json, event_json });
-        inner.subscribers.retain(|subscriber| subscriber.send(Arc::clone(&publication)).is_ok());
+        inner.subscribers.retain(|subscriber| subscriber.hand(&publication));
+        if kind != Kind::Cycle {
+            if inner.history.len() >= HISTORY {
+                inner.history.pop_front();
+            }
+            inner.history.push_back(publication);
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn who_does_not_keep_up_loses_the_newest_and_learns_how_many() {
+        let hub = Hub::new("test".into());
+        let mut slow = hub.subscribe(2);
+        for t_ns in 0..5 {
+            hub.publish_test("press", t_ns);
+        }
+        let heard: Vec<i64> = std::iter::from_fn(|| slow.try_recv()).map(|event| event.t_ns).collect();
+        assert_eq!((heard, slow.lost(), slow.lost()), (vec![0, 1], 3, 0));
+        hub.publish_test("press", 5);
+        assert_eq!(slow.try_recv().map(|event| event.t_ns), Some(5));
+        drop(slow);
+        hub.publish_test("press", 6);
+        assert!(hub.lock().subscribers.is_empty());
+    }
+
+    #[test]
+    fn the_last_events_are_remembered_but_no_cycles() {
+        let hub = Hub::new("test".into());
+        for t_ns in 0..60 {
+            hub.publish_test("press", t_ns);
+            hub.publish(Kind::Cycle, "press", t_ns, &t_ns);
+        }
+        let history = hub.history();
+        assert_eq!((history.len(), history[0].t_ns, history[HISTORY - 1].t_ns), (HISTORY, 10, 59));
+        assert!(history.iter().all(|event| event.kind == Kind::Test));
+    }
 
     #[test]
     fn an_order_that_is_not_taken_says_what_is_true() {

@@ -50,6 +50,8 @@ const TREND_EVERY: Duration = Duration::from_secs(600);
 const RETRY_DISK: Duration = Duration::from_secs(10);
 /// The state's name among the sinks.
 const STATE_SINK: &str = "state";
+/// Events that may wait for the main loop, which hands them to the recording and may be held up by a slow disk.
+const EVENTS: usize = 4096;
 /// The main loop looks for ended axes this often.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -314,7 +316,7 @@ impl Daemon {
     async fn work(&mut self, path: &Path, signals: Signals) -> Result<(), Failure> {
         let Signals { mut reload, mut terminate, mut interrupt } = signals;
         let mut kept = self.keeper.changes();
-        let mut events = self.hub.subscribe();
+        let mut events = self.hub.subscribe(EVENTS);
         let watch_every = self.watchdog.every.unwrap_or(LOOK);
         let mut trend = tokio::time::interval(TREND_EVERY);
         trend.tick().await;
@@ -341,8 +343,12 @@ impl Daemon {
                 }
             }
         };
-        while let Ok(event) = events.try_recv() {
+        while let Some(event) = events.try_recv() {
             self.record(&event);
+        }
+        let lost = events.lost();
+        if lost > 0 {
+            tracing::error!("{lost} events were not recorded, as others held up the way to the recording");
         }
         result
     }

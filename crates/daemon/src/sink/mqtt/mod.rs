@@ -65,7 +65,7 @@ pub struct Broker {
     retry_at: Instant,
     wait: Duration,
     sent: u64,
-    /// Events that could not be written to disk.
+    /// Events that the disk did not take, or not fast enough.
     lost: u64,
     /// What was last told of the axes, and when their counts are due.
     told: Vec<News>,
@@ -130,7 +130,7 @@ impl Broker {
 
     /// Keeps up until told to stop.
     pub async fn run(mut self, mut stop: watch::Receiver<bool>) {
-        let mut events = self.hub.subscribe();
+        let mut events = self.hub.subscribe(self.link.config.spool_events);
         let mut changes = self.hub.changes();
         let mut status_at = now();
         let mut status_due = true;
@@ -151,7 +151,10 @@ impl Broker {
                     self.heed(told.unwrap_or_else(|| Told::Lost("the connection ended".into()))).await;
                     status_due = true;
                 }
-                Some(event) = events.recv() => self.take(&event).await,
+                Some(event) = events.recv() => {
+                    self.lost += events.lost();
+                    self.take(&event).await;
+                }
                 _ = changes.changed(), if !status_due => status_due = true,
                 () = sleep_until(status_at), if status_due && may_tell => {
                     status_due = false;
@@ -165,7 +168,7 @@ impl Broker {
             }
         }
         // What came until now is on disk before the end.
-        while let Ok(event) = events.try_recv() {
+        while let Some(event) = events.try_recv() {
             self.take(&event).await;
         }
         self.say_farewell().await;

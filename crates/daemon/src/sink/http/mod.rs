@@ -3,6 +3,8 @@
 //! Bound to the host's own addresses unless told otherwise, and then each request must bring the token: as
 //! `Authorization: Bearer …`, or as the cookie that `/?token=…` leaves. Requests from pages of other places are refused.
 
+mod connections;
+
 use std::convert::Infallible;
 use std::fs;
 use std::io;
@@ -24,6 +26,7 @@ use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::ReceiverStream;
 
+use self::connections::Limits;
 use super::prometheus;
 use crate::config::HttpConfig;
 use crate::failure::Failure;
@@ -33,14 +36,16 @@ use crate::source::live::SourceState;
 
 /// The dashboard's name among the sinks.
 pub const SINK: &str = "http";
-const PAGE: &str = include_str!("dashboard/index.html");
-const SCRIPT: &str = include_str!("dashboard/dashboard.js");
-const STYLE: &str = include_str!("dashboard/dashboard.css");
+const PAGE: &str = include_str!("../dashboard/index.html");
+const SCRIPT: &str = include_str!("../dashboard/dashboard.js");
+const STYLE: &str = include_str!("../dashboard/dashboard.css");
 /// Nothing is loaded from elsewhere, and no other page may frame this one.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
                       frame-ancestors 'none'; base-uri 'none'; form-action 'none'";
 /// The dashboard hears this often.
 const BEAT: Duration = Duration::from_millis(250);
+/// Events that wait for a client that hears slowly.
+const EVENTS_BEHIND: usize = 64;
 /// Shortest token that is taken.
 const SHORTEST_TOKEN: usize = 16;
 
@@ -82,17 +87,11 @@ impl Http {
 
     /// Serves until told to stop.
     pub async fn run(self, listener: TcpListener) {
-        let mut stop = self.site.stop.clone();
-        let (hub, listen) = (Arc::clone(&self.site.hub), self.site.listen);
-        hub.update_sink(SINK, |sink| sink.detail = format!("http://{listen}/"));
-        let serve = axum::serve(listener, routes(Arc::new(self.site)));
-        let stopped = async move {
-            let _ = stop.changed().await;
-        };
-        if let Err(error) = serve.with_graceful_shutdown(stopped).await {
-            tracing::error!("http at {listen}: {error}");
-            hub.update_sink(SINK, |sink| (sink.good, sink.detail) = (false, error.to_string()));
-        }
+        let (stop, listen) = (self.site.stop.clone(), self.site.listen);
+        self.site
+            .hub
+            .update_sink(SINK, |sink| (sink.good, sink.detail) = (true, format!("http://{listen}/")));
+        connections::serve(listener, routes(Arc::new(self.site)), Limits::default(), stop).await;
     }
 }
 
@@ -125,6 +124,7 @@ fn routes(site: Arc<Site>) -> Router {
         .route("/api/v1/axes/{axis}/acknowledge", post(acknowledge))
         .route("/api/v1/axes/{axis}/new-baseline", post(new_baseline))
         .route("/api/v1/events", get(events))
+        .route("/api/v1/history", get(history))
         .layer(middleware::from_fn_with_state(Arc::clone(&site), admit))
         // Whether it is well may be asked by everybody who gets here.
         .route("/healthz", get(healthz))
@@ -312,6 +312,12 @@ async fn healthz(State(site): State<Arc<Site>>) -> Response {
     }
 }
 
+/// The last events that are no cycles, oldest first.
+async fn history(State(site): State<Arc<Site>>) -> Response {
+    let events: Vec<String> = site.hub.history().iter().map(|event| event.json.clone()).collect();
+    ([(header::CONTENT_TYPE, "application/json")], format!("[{}]", events.join(","))).into_response()
+}
+
 #[derive(Deserialize)]
 struct Wanted {
     axis: Option<String>,
@@ -327,7 +333,7 @@ async fn events(State(site): State<Arc<Site>>, Query(wanted): Query<Wanted>) -> 
 }
 
 async fn feed(site: Arc<Site>, wanted: Option<String>, sender: mpsc::Sender<Result<sse::Event, Infallible>>) {
-    let mut publications = site.hub.subscribe();
+    let mut publications = site.hub.subscribe(EVENTS_BEHIND);
     let mut beats = tokio::time::interval(BEAT);
     beats.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
     let mut stop = site.stop.clone();
@@ -337,7 +343,11 @@ async fn feed(site: Arc<Site>, wanted: Option<String>, sender: mpsc::Sender<Resu
             _ = stop.changed() => return,
             () = sender.closed() => return,
             Some(publication) = publications.recv() => {
-                sse::Event::default().event(publication.kind.name()).id(&publication.axis).data(&publication.json)
+                // One that was left behind is told by the end of its stream: it asks again, and for the history.
+                if publications.lost() > 0 {
+                    return;
+                }
+                sse::Event::default().event(publication.kind.name()).data(&publication.json)
             }
             _ = beats.tick() => {
                 beat += 1;
@@ -363,4 +373,59 @@ async fn feed(site: Arc<Site>, wanted: Option<String>, sender: mpsc::Sender<Resu
 
 fn named(name: &str, value: &impl Serialize) -> sse::Event {
     sse::Event::default().event(name).data(serde_json::to_string(value).unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::event::Flag;
+
+    fn site() -> (Arc<Site>, watch::Sender<bool>) {
+        let (keep_open, stop) = watch::channel(false);
+        let listen = HttpConfig::default().listen;
+        let hub = Hub::new("test".into());
+        (Arc::new(Site { hub, clock: Clock::start(), token: None, listen, stop }), keep_open)
+    }
+
+    #[tokio::test]
+    async fn a_name_with_line_breaks_ends_no_event_and_no_stream() {
+        let (site, _keep_open) = site();
+        let (sender, receiver) = mpsc::channel(32);
+        tokio::spawn(feed(Arc::clone(&site), None, sender));
+        tokio::task::yield_now().await;
+        site.hub.publish_acknowledged("press\r\n1", Some(Flag::Leak), 0);
+        let stream = Sse::new(ReceiverStream::new(receiver)).into_response().into_body().into_data_stream();
+        let text = first_piece_with(stream, "event: acknowledged").await;
+        assert!(text.contains(r#""axis":"press\r\n1""#), "{text}");
+        assert_eq!(text.trim_end().lines().count(), 2, "{text}");
+    }
+
+    async fn first_piece_with(mut stream: axum::body::BodyDataStream, what: &str) -> String {
+        use tokio_stream::StreamExt;
+        while let Some(piece) = stream.next().await {
+            let text = String::from_utf8(piece.unwrap().to_vec()).unwrap();
+            if text.contains(what) {
+                return text;
+            }
+        }
+        panic!("the stream ended without {what}");
+    }
+
+    #[tokio::test]
+    async fn a_client_that_is_left_behind_is_sent_away() {
+        let (site, _keep_open) = site();
+        let (sender, mut receiver) = mpsc::channel(1);
+        let task = tokio::spawn(feed(Arc::clone(&site), None, sender));
+        tokio::task::yield_now().await;
+        for _ in 0..2 * EVENTS_BEHIND {
+            site.hub.publish_acknowledged("press", None, 0);
+            tokio::task::yield_now().await;
+        }
+        let mut heard = 0;
+        while receiver.recv().await.is_some() {
+            heard += 1;
+        }
+        task.await.unwrap();
+        assert!((1..EVENTS_BEHIND).contains(&heard), "{heard}");
+    }
 }
