@@ -9,7 +9,7 @@ const REASONS = {
   unusable_configuration: "this axis cannot be started",
 };
 let chosen = null, stream = null, status = null;
-let live = [], cycles = [], trend = [];
+let live = [], cycles = [], trend = [], events = [];
 
 const color = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 const number = (value, digits = 3) => (value === null || value === undefined) ? "–" : Number(value).toPrecision(digits);
@@ -32,7 +32,7 @@ function listen() {
   if (stream) stream.close();
   live = [];
   stream = new EventSource("/api/v1/events" + (chosen ? "?axis=" + encodeURIComponent(chosen) : ""));
-  stream.addEventListener("open", () => linked(true));
+  stream.addEventListener("open", () => { linked(true); recall(); });
   stream.addEventListener("error", () => linked(false));
   stream.addEventListener("status", (event) => show(JSON.parse(event.data)));
   stream.addEventListener("live", (event) => {
@@ -42,7 +42,7 @@ function listen() {
     drawLive();
   });
   for (const kind of ["cycle", "flag", "notice", "acknowledged", "test"]) {
-    stream.addEventListener(kind, (event) => heard(kind, JSON.parse(event.data)));
+    stream.addEventListener(kind, (event) => heard(JSON.parse(event.data)));
   }
 }
 
@@ -55,6 +55,8 @@ function choose(axis) {
   chosen = axis;
   cycles = []; trend = [];
   listen();
+  // What was drawn is another axis's, and this one may be silent.
+  draw();
   refresh();
 }
 
@@ -158,20 +160,46 @@ function showSource(axis) {
   rows(byId("source"), entries);
 }
 
-function heard(kind, event) {
-  if (kind === "cycle" && event.axis === chosen) refresh();
-  if (kind === "cycle") return;
-  const list = byId("events"), item = document.createElement("li");
+function heard(event) {
+  if (event.schema === "seepd.cycle/1") {
+    if (event.axis === chosen) refresh();
+    return;
+  }
+  events.unshift(event);
+  showEvents();
+}
+
+// What was told before this page was opened, or while its connection was lost.
+async function recall() {
+  const before = new Set(events);
+  try {
+    const answer = await fetch("/api/v1/history");
+    if (!answer.ok) return;
+    const history = (await answer.json()).reverse(), known = new Set(history.map((event) => event.id));
+    const others = events.filter((event) => !known.has(event.id));
+    events = [...others.filter((event) => !before.has(event)), ...history, ...others.filter((event) => before.has(event))];
+    showEvents();
+  } catch { /* the stream says that the connection is lost */ }
+}
+
+function showEvents() {
+  events = events.slice(0, 50);
+  if (events.length) byId("events").replaceChildren(...events.map(eventItem));
+}
+
+function eventItem(event) {
+  const item = document.createElement("li");
   const time = event.published_at ? new Date(event.published_at).toLocaleString() : "clock not set";
-  const what = kind === "flag"
-    ? FLAGS[event.flag_from] + " → " + FLAGS[event.flag_to] + (event.evidence.reason ? " (" + told(event.evidence.reason) + ")" : "")
-    : kind === "notice" ? event.text
-    : kind === "test" ? "test alarm" : "acknowledged " + (event.latched ? FLAGS[event.latched] : "");
-  item.textContent = time + " · " + event.axis + " · " + what;
+  const what = {
+    "seepd.event/1": () => FLAGS[event.flag_from] + " → " + FLAGS[event.flag_to]
+      + (event.evidence.reason ? " (" + told(event.evidence.reason) + ")" : ""),
+    "seepd.notice/1": () => event.text,
+    "seepd.acknowledged/1": () => "acknowledged " + (event.latched ? FLAGS[event.latched] : ""),
+    "seepd.test/1": () => "test alarm",
+  }[event.schema];
+  item.textContent = time + " · " + event.axis + " · " + (what ? what() : event.schema);
   item.className = event.flag_to || "";
-  list.querySelector(".none")?.remove();
-  list.prepend(item);
-  while (list.children.length > 50) list.lastChild.remove();
+  return item;
 }
 
 // Axes with ticks, and a way from values to places on the canvas.
@@ -242,6 +270,13 @@ function drawLive() {
 }
 
 function drawCycles() {
+  byId("cycle-list").replaceChildren(...[...cycles].reverse().map((cycle) => {
+    const item = document.createElement("li");
+    item.className = cycle.flag;
+    item.textContent = "cycle " + cycle.cycle + " · " + (cycle.reason ? "rejected: " + told(cycle.reason)
+      : number(cycle.leak_flow_lpm) + " L/min · " + FLAGS[cycle.flag]);
+    return item;
+  }));
   const shown = cycles.filter((cycle) => cycle.points.length > 1);
   if (!shown.length) return empty(byId("cycles"), "no cycle yet");
   const all = shown.flatMap((cycle) => cycle.points);
@@ -252,13 +287,6 @@ function drawCycles() {
     picture.line(cycle.points, color(cycle.reason ? "no_estimate" : cycle.flag), newest ? 2 : 1);
     picture.pen.globalAlpha = 1;
   });
-  byId("cycle-list").replaceChildren(...[...cycles].reverse().map((cycle) => {
-    const item = document.createElement("li");
-    item.className = cycle.flag;
-    item.textContent = "cycle " + cycle.cycle + " · " + (cycle.reason ? "rejected: " + told(cycle.reason)
-      : number(cycle.leak_flow_lpm) + " L/min · " + FLAGS[cycle.flag]);
-    return item;
-  }));
 }
 
 // Time before now in a unit that fits; by number of cycles where the clock was set in between, which is no time at all.
@@ -273,9 +301,8 @@ function timeScale(points) {
 
 function drawTrend() {
   const canvas = byId("trend");
-  if (!trend.length) return empty(canvas, "no estimate yet");
   const axis = status?.axes.find((axis) => axis.axis === chosen);
-  if (!axis || !axis.lpm_per_m2) return;
+  if (!trend.length || !axis || !axis.lpm_per_m2) return empty(canvas, "no estimate yet");
   const flow = (area) => Math.max(flowOf(axis, area), 1e-3);
   const { at, name } = timeScale(trend);
   const low = Math.max(Math.min(...trend.map((point) => flow(point.interval90_m2[0]))), 0.005);
@@ -300,6 +327,8 @@ byId("renew").addEventListener("click", async () => {
   if (!confirm("Has the seal been replaced? Estimates will count from the next cycles; the old baseline stays in the record.")) return;
   await fetch("/api/v1/axes/" + encodeURIComponent(chosen) + "/new-baseline", { method: "POST" });
 });
-addEventListener("resize", () => { drawLive(); drawCycles(); drawTrend(); });
-drawLive(); drawCycles(); drawTrend();
+function draw() { drawLive(); drawCycles(); drawTrend(); }
+
+addEventListener("resize", draw);
+draw();
 listen();
