@@ -118,7 +118,7 @@ fn reference_cantools_decodes_the_same_values() {
         let line = format!("(0.0) can0 {}", case["frame"].as_str().unwrap());
         let frame: Frame = Line::parse(line.as_bytes()).unwrap().frame;
         let found: BTreeMap<String, f64> = dbc
-            .signals_of(frame.identifier)
+            .signals_of(frame.identifier, usize::MAX)
             .iter()
             .filter_map(|signal| match signal.read(&frame) {
                 Reading::Value(value) if value.is_finite() => Some((signal.name.clone(), value)),

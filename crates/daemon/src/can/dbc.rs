@@ -1,5 +1,6 @@
 //! DBC files: which frame carries a signal, and where in it.
 
+use std::collections::HashMap;
 use std::fs;
 use std::path::Path;
 
@@ -69,7 +70,12 @@ impl CanSignal {
 pub struct Dbc {
     file: String,
     parsed: Parsed,
+    /// The signals' whole names, where the file cuts them to 32 characters, by message and cut name.
+    long_names: HashMap<MessageId, HashMap<String, String>>,
 }
+
+/// Levels of multiplexers within multiplexers that are followed.
+const DEEPEST_MULTIPLEX: usize = 64;
 
 impl Dbc {
     /// Reads a file.
@@ -91,8 +97,21 @@ impl Dbc {
             |_| bytes.iter().map(|byte| char::from(*byte)).collect(),
             |text| text.trim_start_matches('\u{feff}').to_owned(),
         );
-        let parsed = Parsed::try_from(text.as_str()).map_err(|error| one_line(&error))?;
-        Ok(Dbc { file: file.into(), parsed })
+        let mut parsed = Parsed::try_from(text.as_str()).map_err(|error| one_line(&error))?;
+        let mut long_names: HashMap<MessageId, HashMap<String, String>> = HashMap::new();
+        for attribute in std::mem::take(&mut parsed.attribute_values_signal) {
+            if attribute.name == "SystemSignalLongSymbol"
+                && let AttributeValue::String(long) = attribute.value
+                && !long.is_empty()
+            {
+                long_names
+                    .entry(attribute.message_id)
+                    .or_default()
+                    .entry(attribute.signal_name)
+                    .or_insert(long);
+            }
+        }
+        Ok(Dbc { file: file.into(), parsed, long_names })
     }
 
     /// Names of all messages and signals, as `Message.Signal`.
@@ -156,14 +175,14 @@ impl Dbc {
         format!("{}: names no signal `{name}`{hint}", self.file)
     }
 
-    /// All signals of a frame that can be read.
-    pub fn signals_of(&self, identifier: Identifier) -> Vec<CanSignal> {
+    /// The signals of a frame that can be read, up to so many.
+    pub fn signals_of(&self, identifier: Identifier, most: usize) -> Vec<CanSignal> {
         let is = |message: &&Message| self.identifier(message) == Some(identifier);
         let message = self.parsed.messages.iter().find(is);
         let signals = message.into_iter().flat_map(|message| {
             message.signals.iter().filter_map(|signal| self.resolve(message, signal).ok())
         });
-        signals.collect()
+        signals.take(most).collect()
     }
 
     fn resolve(&self, message: &Message, signal: &Signal) -> Result<CanSignal, String> {
@@ -222,8 +241,8 @@ impl Dbc {
     fn selectors(&self, message: &Message, signal: &Signal) -> Result<Vec<Selector>, String> {
         let mut selectors = Vec::new();
         let mut inner = signal;
-        // As many levels as there are signals, in case a file goes in circles.
-        for _ in 0..message.signals.len() {
+        // A file may go in circles.
+        for _ in 0..DEEPEST_MULTIPLEX {
             let (MultiplexIndicator::MultiplexedSignal(value)
             | MultiplexIndicator::MultiplexorAndMultiplexedSignal(value)) = inner.multiplexer_indicator
             else {
@@ -246,17 +265,13 @@ impl Dbc {
             selectors.push(Selector { field: self.field(message, outer)?, ranges });
             inner = outer;
         }
-        Err("is multiplexed in a circle".into())
+        Err(format!("is multiplexed in a circle, or more than {DEEPEST_MULTIPLEX} levels deep"))
     }
 
     /// `Message.Signal`, by the long names where the file cuts them to 32 characters.
     fn full_name(&self, message: &Message, signal: &Signal) -> String {
-        let long = self.parsed.attribute_values_signal.iter().find(|attribute| {
-            attribute.message_id == message.id
-                && attribute.signal_name == signal.name
-                && attribute.name == "SystemSignalLongSymbol"
-        });
-        let name = text_of(long.map(|attribute| &attribute.value)).unwrap_or(&signal.name);
+        let long = self.long_names.get(&message.id).and_then(|names| names.get(&signal.name));
+        let name = long.unwrap_or(&signal.name);
         format!("{}.{name}", self.long_message_name(message))
     }
 

@@ -7,7 +7,7 @@ use crate::can::dbc::{CanSignal, Dbc, Reading};
 use crate::can::{Content, Frame, Identifier};
 use crate::config::BitsMapping;
 
-use super::survey::{TOPICS_KEPT, TopicSurvey};
+use super::survey::{FIELDS_KEPT, TOPICS_KEPT, TopicSurvey};
 
 /// Size of the fields that are tried where no DBC file names any, bits.
 const FIELD_BITS: usize = 16;
@@ -112,7 +112,7 @@ impl Heard {
             schema: dbc.and_then(|dbc| dbc.message_name(identifier)).unwrap_or_default(),
             ..TopicSurvey::default()
         };
-        let signals = dbc.map(|dbc| dbc.signals_of(identifier)).unwrap_or_default();
+        let signals = dbc.map(|dbc| dbc.signals_of(identifier, FIELDS_KEPT)).unwrap_or_default();
         let fields = if signals.is_empty() { raw_fields(frame.data().len()) } else { Vec::new() };
         Heard { topic, signals, first: None, changing: [0; 64], shortest: frame.data().len(), fields }
     }
