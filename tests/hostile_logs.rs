@@ -503,3 +503,166 @@ fn a_counter_outside_the_commands_frame_is_a_configuration_error() {
         assert_eq!((output.status.code(), text.contains(told)), (Some(78), true), "{text}");
     }
 }
+
+#[test]
+fn a_line_without_end_takes_no_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let rows = |text: &mut String| {
+        for tick in 0..100 {
+            *text += &format!("{}e-3,0.5\n", tick);
+        }
+    };
+    let mut text = String::from("t_s,command\n");
+    rows(&mut text);
+    text += &"7".repeat(150 << 20);
+    text += "\n";
+    let good = text.clone() + "0.1,0.5\n";
+    let path = file(&folder, "line.csv", &good);
+    let output = frugal(["replay", "--json", path.to_str().unwrap()]);
+    let summary: Value = serde_json::from_slice(&output.stdout).expect(&stderr(&output));
+    assert_eq!(summary["samples"], 101);
+    let told = "1 rows left out; the first at line 102: the line is longer than a row can be";
+    assert!(stderr(&output).contains(told), "{}", stderr(&output));
+    assert_eq!(frugal(["inspect", path.to_str().unwrap()]).status.code(), Some(0));
+    let path = file(&folder, "header.csv", "x".repeat(100 << 20));
+    let output = frugal(["replay", path.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(65));
+    assert!(stderr(&output).contains("its first line has more than 1048576 bytes"), "{}", stderr(&output));
+}
+
+#[test]
+fn a_stray_quote_costs_one_row() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut text = String::from("t_s,command\n");
+    for tick in 0..1000 {
+        text += &format!("{}e-3,{}0.5\n", tick, if tick == 50 { "\"" } else { "" });
+    }
+    let path = file(&folder, "quote.csv", text);
+    let output = seepd(["replay", "--json", path.to_str().unwrap()]);
+    let summary: Value = serde_json::from_slice(&output.stdout).expect(&stderr(&output));
+    assert_eq!(summary["samples"], 999);
+    let told = "1 rows left out; the first at line 52: a quote is opened and not closed";
+    assert!(stderr(&output).contains(told), "{}", stderr(&output));
+}
+
+/// Each kind of log ends in one line and exit code 65 where nothing in it is of use.
+#[test]
+fn a_log_of_which_nothing_can_be_used_is_a_failure() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = |body: &str| log("json", ("a", "jsonschema", b""), &vec![body.as_bytes().to_vec(); 5]);
+    let candump = "(1.000001) can0 123#00\n(1.001001) can0 123#01\n".to_owned();
+    let dbc = "VERSION \"\"\nBU_:\nBO_ 291 M: 8 X\n SG_ command : 0|16@1- (1,0) [0|0] \"\" X\n";
+    let dbc = file(&folder, "a.dbc", dbc);
+    for (name, content, told) in [
+        ("header.csv", b"t_s,command\n".to_vec(), "holds a header row and no other"),
+        (
+            "words.csv",
+            b"t_s,command\n1,fast\n2,slow\n".to_vec(),
+            "none of its 2 rows can be used; the first at line 2: `fast`",
+        ),
+        ("empty.csv", b"t_s,command\n1,\n2,\n".to_vec(), "none of its 2 commands is a number"),
+        ("null.mcap", json("{\"command\":null}"), "none of its 5 commands is a number"),
+        (
+            "words.mcap",
+            json("{\"command\":\"fast\"}"),
+            "5 messages left out as unreadable, the first at 0 ns: `fast` is not a number",
+        ),
+        ("without.mcap", json("{\"x\":1}"), "5 messages left out that hold no command, the first at 0 ns"),
+        ("short.log", candump.into_bytes(), "2 of them too short for the mapped signals"),
+    ] {
+        let path = file(&folder, name, content);
+        let mut arguments = vec!["replay", "--topic", "/plc", path.to_str().unwrap()];
+        if name.ends_with(".log") {
+            arguments = vec!["replay", "--dbc", dbc.to_str().unwrap(), path.to_str().unwrap()];
+        }
+        let output = seepd(arguments);
+        let text = stderr(&output);
+        assert_eq!((output.status.code(), text.lines().count()), (Some(65), 1), "{name}: {text}");
+        assert!(text.contains(told), "{name}: {text}");
+    }
+}
+
+/// What inspect proposes for a CSV in another unit of time, replay reads at the rate that inspect saw.
+#[test]
+fn the_proposed_mapping_has_the_time_column_and_its_unit() {
+    let folder = tempfile::tempdir().unwrap();
+    let seconds = fs::read_to_string(fixture("nominal_leak_1e-6.csv")).unwrap();
+    let mut rows = seconds.lines().skip(1).map(|row| row.split_once(',').unwrap());
+    let mut text = String::from("time_ms,command\n");
+    for (tick, (_, rest)) in
+        rows.by_ref().chain(seconds.lines().skip(1).map(|row| row.split_once(',').unwrap())).enumerate()
+    {
+        text += &format!("{tick},{}\n", rest.split(',').next().unwrap());
+    }
+    let path = file(&folder, "log.csv", text);
+    let log = path.to_str().unwrap();
+    let inspected = seepd(["inspect", "--time-column", "time_ms", log]);
+    let proposed = support::stdout(&inspected);
+    assert!(proposed.starts_with("time_column = \"time_ms\"\ntime_unit = \"ms\"\n"), "{proposed}");
+    let told = "by its name the column `time_ms` is taken to be in ms";
+    assert!(
+        stderr(&inspected).contains(told) && stderr(&inspected).contains("1000.0 Hz"),
+        "{}",
+        stderr(&inspected)
+    );
+    let config = file(&folder, "seepd.toml", &proposed);
+    let check = seepd(["check", config.to_str().unwrap()]);
+    assert_eq!(check.status.code(), Some(0), "{}", stderr(&check));
+    let read = |config: &Path| {
+        let lines = support::replay(&path, &["--config", config.to_str().unwrap()]);
+        (support::summary(&lines)["duration_s"].as_f64().unwrap(), support::estimates(&lines).len())
+    };
+    let (duration_s, cycles) = read(&config);
+    assert!((duration_s - 20.0).abs() < 0.01, "{duration_s}");
+    assert_eq!(cycles, 2);
+    // The unit that is set goes before the name's.
+    let config = file(&folder, "us.toml", proposed.replace("\"ms\"", "\"us\""));
+    let output = seepd(["replay", "--quiet", "--config", config.to_str().unwrap(), log]);
+    assert!(stderr(&output).contains("comes at 1000000.0 Hz"), "{}", stderr(&output));
+}
+
+#[test]
+fn a_text_comes_through_a_fifo_and_an_mcap_log_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let fifo = folder.path().join("fifo");
+    let make = |path: &Path| assert!(Command::new("mkfifo").arg(path).status().unwrap().success());
+    make(&fifo);
+    let fed = |content: Vec<u8>, arguments: &[&str]| {
+        let to = fifo.clone();
+        // The program may close the pipe before all of it is written.
+        let writer = std::thread::spawn(move || fs::write(to, content).is_ok());
+        let output = seepd(arguments);
+        writer.join().unwrap();
+        output
+    };
+    let path = fifo.to_str().unwrap();
+    let text = fs::read(fixture("nominal_leak_1e-6.csv")).unwrap();
+    let output = fed(text.clone(), &["replay", "--json", path]);
+    let lines = support::stdout(&output);
+    assert_eq!(lines.lines().count(), 2, "{lines}");
+    assert!(support::stdout(&fed(text, &["inspect", path])).contains("[signals.command]"));
+    let output = fed(log("json", ("a", "jsonschema", b""), &[]), &["replay", path]);
+    assert_eq!(output.status.code(), Some(65));
+    assert!(stderr(&output).contains("MCAP is not read from a pipe"), "{}", stderr(&output));
+}
+
+#[test]
+fn a_message_of_20_000_signals_is_inspected_by_its_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut dbc = String::from("VERSION \"\"\nBU_:\nBO_ 291 M: 8 X\n");
+    for number in 0..20_000 {
+        dbc += &format!(" SG_ S{number} : {}|16@1- (0.01,0) [-1|1] \"\" X\n", number % 48);
+    }
+    let dbc = file(&folder, "wide.dbc", dbc);
+    let frames: String = (0..20_000)
+        .map(|tick| format!("({}.{:03}001) can0 123#{tick:04X}223344556677\n", tick / 1000, tick % 1000))
+        .collect();
+    let path = file(&folder, "candump.log", frames);
+    let output = seepd(["inspect", "--json", "--dbc", dbc.to_str().unwrap(), path.to_str().unwrap()]);
+    let found: Value = serde_json::from_slice(&output.stdout).expect(&stderr(&output));
+    let topic = &found["topics"][0];
+    assert_eq!(
+        (topic["messages"].as_u64(), topic["fields"].as_array().map(Vec::len)),
+        (Some(20_000), Some(256))
+    );
+}

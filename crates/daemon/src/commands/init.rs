@@ -80,6 +80,7 @@ fn configuration(arguments: &InitArguments, found: &LogSurvey) -> String {
     if let Some(dbc) = &arguments.dbc {
         text += &format!("dbc = {}\n", quoted(&absolute(dbc)));
     }
+    text += &found.time_toml();
     text += "\n[source]\n";
     if is_interface(&place) {
         text += &format!("can = {}\n", toml::Value::from(place.as_str()));

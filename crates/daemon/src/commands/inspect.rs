@@ -32,7 +32,7 @@ pub struct InspectArguments {
     /// Print one JSON object instead
     #[arg(long)]
     json: bool,
-    /// Name of a CSV file's time column, in seconds
+    /// Name of a CSV file's time column; in the unit that it ends in, such as time_ms, else in seconds
     #[arg(long, default_value = "t_s", value_name = "COLUMN")]
     time_column: String,
     /// DBC file that describes a CAN log's frames
@@ -58,6 +58,7 @@ pub fn run(arguments: &InspectArguments) -> Result<Outcome, Failure> {
         if let Some(dbc) = &arguments.dbc {
             print(format!("dbc = {}\n\n", toml::Value::from(dbc.display().to_string())).as_bytes())?;
         }
+        print(found.time_toml().as_bytes())?;
         print(found.mapping_toml().as_bytes())?;
     }
     Ok(Outcome::Good)

@@ -35,8 +35,10 @@ pub struct Config {
     pub reference_dp_pa: f64,
     /// Hours that the machine runs in a year, for the energy that a leak costs.
     pub operating_hours_per_year: f64,
-    /// Name of a CSV file's time column, in seconds.
+    /// Name of a CSV file's time column.
     pub time_column: String,
+    /// Unit of that column; absent: what its name ends in, such as `time_ms`, else seconds.
+    pub time_unit: Option<TimeUnit>,
     /// DBC file that describes a CAN log's frames, relative to this file.
     pub dbc: Option<PathBuf>,
     /// Where each signal is. Empty: every signal under its own name, on the log's one topic that ends in `/signals`.
@@ -62,6 +64,53 @@ pub struct Config {
     /// What the command line says on top.
     #[serde(skip)]
     pub selection: Selection,
+}
+
+/// Unit of a time column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TimeUnit {
+    /// Seconds.
+    S,
+    /// Milliseconds.
+    Ms,
+    /// Microseconds.
+    Us,
+    /// Nanoseconds.
+    Ns,
+}
+
+impl TimeUnit {
+    /// The unit that a column's name ends in, such as `time_ms` or `Time [ms]`; seconds where it ends in none.
+    pub fn of_column(name: &str) -> Self {
+        let last = name.rsplit(|c: char| !c.is_alphanumeric()).find(|word| !word.is_empty());
+        match last.unwrap_or_default().to_lowercase().as_str() {
+            "ms" | "msec" | "millis" | "milliseconds" => TimeUnit::Ms,
+            "us" | "µs" | "μs" | "usec" | "micros" | "microseconds" => TimeUnit::Us,
+            "ns" | "nsec" | "nanos" | "nanoseconds" => TimeUnit::Ns,
+            _ => TimeUnit::S,
+        }
+    }
+
+    /// How many nanoseconds it is.
+    pub fn nanoseconds(self) -> f64 {
+        match self {
+            TimeUnit::S => 1e9,
+            TimeUnit::Ms => 1e6,
+            TimeUnit::Us => 1e3,
+            TimeUnit::Ns => 1.0,
+        }
+    }
+
+    /// As the configuration writes it.
+    pub fn name(self) -> &'static str {
+        match self {
+            TimeUnit::S => "s",
+            TimeUnit::Ms => "ms",
+            TimeUnit::Us => "us",
+            TimeUnit::Ns => "ns",
+        }
+    }
 }
 
 /// What the command line says of where the signals are; it goes before the mapping.
@@ -134,6 +183,7 @@ impl Default for Config {
             reference_dp_pa: 7e6,
             operating_hours_per_year: 8760.0,
             time_column: "t_s".into(),
+            time_unit: None,
             dbc: None,
             signals: BTreeMap::new(),
             alarm: AlarmConfig::default(),

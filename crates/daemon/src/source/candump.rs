@@ -1,25 +1,24 @@
 //! Samples from a CAN log in candump's format, by the names that a DBC file gives.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::Read;
 
 use seepd_signals::Sample;
 
 use super::Source;
-use crate::can::candump::Line;
+use super::lines::{Line, Lines};
+use crate::can::candump;
 use crate::can::decode::FrameDecoder;
 use crate::failure::{Code, Failure};
 
 /// Longest line that is read, bytes: an FD frame takes some 170.
-pub const LONGEST_LINE: u64 = 4096;
+pub(super) const LONGEST_LINE: u64 = 4096;
 /// Frames after which stamps that share one second are no coincidence.
 const STAMPS_LOOKED_AT: u64 = 200;
 
 /// See the [module](self).
 pub struct CandumpSource<R> {
     name: String,
-    reader: BufReader<R>,
-    line: Vec<u8>,
-    line_number: u64,
+    lines: Lines<R>,
     decoder: FrameDecoder,
     stamps: Stamps,
     unreadable: u64,
@@ -41,33 +40,12 @@ impl<R: Read> CandumpSource<R> {
     pub fn new(input: R, name: &str, decoder: FrameDecoder) -> Self {
         CandumpSource {
             name: name.into(),
-            reader: BufReader::with_capacity(1 << 16, input),
-            line: Vec::new(),
-            line_number: 0,
+            lines: Lines::new(input, LONGEST_LINE),
             decoder,
             stamps: Stamps::default(),
             unreadable: 0,
             first_unreadable: None,
         }
-    }
-
-    /// The sample that the line at hand completes, if its frame carries a command.
-    fn take_line(&mut self) -> Option<Sample> {
-        let text = self.line.trim_ascii();
-        if text.is_empty() {
-            return None;
-        }
-        let line = match Line::parse(text) {
-            Ok(line) => line,
-            Err(what) => {
-                self.unreadable += 1;
-                let number = self.line_number;
-                self.first_unreadable.get_or_insert_with(|| format!("line {number}: {what}"));
-                return None;
-            }
-        };
-        self.stamps.take(&line);
-        self.decoder.take(&line.frame, line.interface, line.time_ns)
     }
 
     fn check_stamps(&self) -> Result<(), Failure> {
@@ -98,7 +76,7 @@ impl<R: Read> CandumpSource<R> {
 }
 
 impl Stamps {
-    fn take(&mut self, line: &Line<'_>) {
+    fn take(&mut self, line: &candump::Line<'_>) {
         self.frames += 1;
         self.fractions |= !line.whole_second;
         self.shared += u64::from(self.newest_ns == Some(line.time_ns));
@@ -106,27 +84,41 @@ impl Stamps {
     }
 }
 
-/// Reads a line into `line`, which is emptied first; one that is too long is cut, and its rest skipped. `false` at the end.
-pub(crate) fn next_line(reader: &mut impl BufRead, line: &mut Vec<u8>) -> std::io::Result<bool> {
-    line.clear();
-    reader.by_ref().take(LONGEST_LINE).read_until(b'\n', line)?;
-    if line.len() as u64 == LONGEST_LINE && line.last() != Some(&b'\n') {
-        reader.skip_until(b'\n')?;
+/// Reads a line's frame; `None` for an empty line.
+pub(super) fn parse(line: Line<'_>) -> Option<Result<candump::Line<'_>, &'static str>> {
+    match line {
+        Line::TooLong => Some(Err("it is longer than a frame can be")),
+        Line::Whole(text) => match text.trim_ascii() {
+            b"" => None,
+            text => Some(candump::Line::parse(text)),
+        },
     }
-    Ok(!line.is_empty())
 }
 
 impl<R: Read> Source for CandumpSource<R> {
     fn next_sample(&mut self) -> Result<Option<Sample>, Failure> {
         loop {
-            let more = next_line(&mut self.reader, &mut self.line)
+            let line = self
+                .lines
+                .next()
                 .map_err(|error| Failure::new(Code::Io, format!("{}: {error}", self.name)))?;
-            if !more {
+            let Some(line) = line else {
                 self.check_stamps()?;
                 return if self.decoder.counts().given == 0 { Err(self.nothing_matched()) } else { Ok(None) };
-            }
-            self.line_number += 1;
-            let sample = self.take_line();
+            };
+            let sample = match parse(line) {
+                None => continue,
+                Some(Ok(line)) => {
+                    self.stamps.take(&line);
+                    self.decoder.take(&line.frame, line.interface, line.time_ns)
+                }
+                Some(Err(what)) => {
+                    self.unreadable += 1;
+                    let number = self.lines.number();
+                    self.first_unreadable.get_or_insert_with(|| format!("line {number}: {what}"));
+                    continue;
+                }
+            };
             if self.stamps.frames == STAMPS_LOOKED_AT {
                 self.check_stamps()?;
             }

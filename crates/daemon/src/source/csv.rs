@@ -1,28 +1,16 @@
-//! Samples from a CSV text with a header row and a time column in seconds; commas, semicolons or tabs divide.
+//! Samples from a CSV text with a header row and a time column; commas, semicolons or tabs divide.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::Read;
 
-use csv::{ByteRecord, Reader, ReaderBuilder};
 use seepd_signals::{Sample, Signal};
 
 use super::Source;
-use crate::config::SignalMapping;
-use crate::failure::Failure;
+use super::rows::{Row, Rows};
+use crate::config::{SignalMapping, TimeUnit};
+use crate::failure::{Code, Failure};
 
-/// A reader of rows, divided by what divides the first line most.
-///
-/// # Errors
-/// [`Failure`] where nothing can be read.
-pub fn csv_reader<R: Read>(input: R, name: &str) -> Result<Reader<BufReader<R>>, Failure> {
-    let mut input = BufReader::new(input);
-    let begin = input.fill_buf().map_err(|error| Failure::data(format!("{name}: {error}")))?;
-    let header = begin.split(|byte| *byte == b'\n').next().unwrap_or_default();
-    let count = |divider: u8| header.iter().filter(|byte| **byte == divider).count();
-    let delimiter = [b'\t', b';']
-        .into_iter()
-        .fold(b',', |best, other| if count(other) > count(best) { other } else { best });
-    Ok(ReaderBuilder::new().flexible(true).trim(csv::Trim::All).delimiter(delimiter).from_reader(input))
-}
+/// Columns that an error lists.
+const COLUMNS_TOLD: usize = 32;
 
 /// A signal's column.
 struct Column {
@@ -32,33 +20,38 @@ struct Column {
     offset: f64,
 }
 
+/// The columns that are read.
+struct Columns {
+    time_index: usize,
+    time_unit: TimeUnit,
+    signals: Vec<Column>,
+}
+
 /// See the [module](self).
 pub struct CsvSource<R> {
     name: String,
-    reader: Reader<BufReader<R>>,
-    record: ByteRecord,
-    time_index: usize,
-    columns: Vec<Column>,
+    rows: Rows<R>,
+    columns: Columns,
+    given: u64,
     unreadable: u64,
     first_unreadable: Option<String>,
 }
 
 impl<R: Read> CsvSource<R> {
-    /// Reads the header row.
+    /// Reads the header row. Without a unit the time column's name tells it.
     ///
     /// # Errors
     /// [`Failure`] where the header names no time or no command; it lists what there is.
     pub fn new(
         input: R,
         name: &str,
-        mapping: Vec<(Signal, SignalMapping)>,
+        mapping: &[(Signal, SignalMapping)],
         time_column: &str,
+        time_unit: Option<TimeUnit>,
     ) -> Result<Self, Failure> {
-        let mut reader = csv_reader(input, name)?;
-        let headers = reader.headers().map_err(|error| Failure::data(format!("{name}: {error}")))?.clone();
+        let (rows, headers) = Rows::new(input).map_err(|what| Failure::data(format!("{name}: {what}")))?;
         let find = |wanted: &str| headers.iter().position(|header| header == wanted);
-        let listed = || headers.iter().collect::<Vec<_>>().join(", ");
-        let columns: Vec<Column> = mapping
+        let signals: Vec<Column> = mapping
             .iter()
             .filter_map(|(signal, m)| {
                 Some(Column { index: find(&m.field)?, signal: *signal, scale: m.scale, offset: m.offset })
@@ -71,41 +64,51 @@ impl<R: Read> CsvSource<R> {
         if time_index.is_none() {
             missing.push(format!("`{time_column}` for the time"));
         }
-        if !columns.iter().any(|column| column.signal == Signal::Command) {
+        if !signals.iter().any(|column| column.signal == Signal::Command) {
             missing.push(format!("`{command}` for the command"));
         }
         let (Some(time_index), true) = (time_index, missing.is_empty()) else {
             let what = missing.join(" and no column ");
-            return Err(Failure::data(format!("{name}: no column {what}; there are: {}", listed())));
+            return Err(Failure::data(format!("{name}: no column {what}; there are: {}", listed(&headers))));
         };
+        let time_unit = time_unit.unwrap_or_else(|| TimeUnit::of_column(time_column));
         Ok(CsvSource {
             name: name.into(),
-            reader,
-            record: ByteRecord::new(),
-            time_index,
-            columns,
+            rows,
+            columns: Columns { time_index, time_unit, signals },
+            given: 0,
             unreadable: 0,
             first_unreadable: None,
         })
     }
 
-    fn number(&self, index: usize) -> Result<f64, String> {
-        let field = self.record.get(index).ok_or_else(|| format!("column {} is missing", index + 1))?;
-        if field.is_empty() {
-            return Ok(f64::NAN);
-        }
-        let text = std::str::from_utf8(field).map_err(|_| format!("column {} is not text", index + 1))?;
-        text.parse().map_err(|_| format!("`{text}` is not a number"))
+    /// What there is where no row was of use.
+    fn nothing_usable(&self) -> Failure {
+        let what = match &self.first_unreadable {
+            Some(first) => format!("none of its {} rows can be used; the first at {first}", self.unreadable),
+            None => "holds a header row and no other".into(),
+        };
+        Failure::data(format!("{}: {what}", self.name))
     }
+}
 
-    fn sample(&self) -> Result<Sample, String> {
-        let time_s = self.number(self.time_index)?;
-        if !time_s.is_finite() {
+fn listed(headers: &[String]) -> String {
+    let mut text = headers.iter().take(COLUMNS_TOLD).map(String::as_str).collect::<Vec<_>>().join(", ");
+    if headers.len() > COLUMNS_TOLD {
+        text += &format!(" and {} more", headers.len() - COLUMNS_TOLD);
+    }
+    text
+}
+
+impl Columns {
+    fn sample(&self, row: &Row) -> Result<Sample, String> {
+        let time = number(row, self.time_index)?;
+        if !time.is_finite() {
             return Err("the time is missing".into());
         }
-        let mut sample = Sample::new((time_s * 1e9).round() as i64);
-        for column in &self.columns {
-            let value = self.number(column.index)?;
+        let mut sample = Sample::new((time * self.time_unit.nanoseconds()).round() as i64);
+        for column in &self.signals {
+            let value = number(row, column.index)?;
             if column.signal == Signal::Command || !value.is_nan() {
                 sample.set(column.signal, value * column.scale + column.offset);
             }
@@ -114,19 +117,38 @@ impl<R: Read> CsvSource<R> {
     }
 }
 
+fn number(row: &Row, index: usize) -> Result<f64, String> {
+    let field = row.field(index).ok_or_else(|| format!("column {} is missing", index + 1))?;
+    if field.is_empty() {
+        return Ok(f64::NAN);
+    }
+    let text = std::str::from_utf8(field).map_err(|_| format!("column {} is not text", index + 1))?;
+    text.parse().map_err(|_| {
+        let begin: String = text.chars().take(40).collect();
+        format!("`{begin}` is not a number")
+    })
+}
+
 impl<R: Read> Source for CsvSource<R> {
     fn next_sample(&mut self) -> Result<Option<Sample>, Failure> {
         loop {
-            match self.reader.read_byte_record(&mut self.record) {
-                Ok(false) => return Ok(None),
-                Ok(true) => {}
-                Err(error) => return Err(Failure::data(format!("{}: {error}", self.name))),
-            }
-            match self.sample() {
-                Ok(sample) => return Ok(Some(sample)),
+            let row = self
+                .rows
+                .next()
+                .map_err(|error| Failure::new(Code::Io, format!("{}: {error}", self.name)))?;
+            let sample = match row {
+                None if self.given == 0 => return Err(self.nothing_usable()),
+                None => return Ok(None),
+                Some(row) => row.map_err(str::to_owned).and_then(|row| self.columns.sample(row)),
+            };
+            match sample {
+                Ok(sample) => {
+                    self.given += 1;
+                    return Ok(Some(sample));
+                }
                 Err(what) => {
                     self.unreadable += 1;
-                    let line = self.record.position().map_or(0, csv::Position::line);
+                    let line = self.rows.line_number();
                     self.first_unreadable.get_or_insert_with(|| format!("line {line}: {what}"));
                 }
             }

@@ -10,6 +10,7 @@ pub mod guess;
 mod intervals;
 pub mod json;
 pub mod kind;
+mod lines;
 #[cfg(feature = "live")]
 pub mod live;
 pub mod mcap;
@@ -17,16 +18,17 @@ pub mod mcap_file;
 pub mod protobuf;
 pub mod record;
 pub mod ros;
+mod rows;
 #[cfg(feature = "live")]
 pub mod socketcan;
 pub mod survey;
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{Cursor, Read, Seek};
 use std::path::Path;
 
 use indicatif::ProgressBar;
-use seepd_signals::Sample;
+use seepd_signals::{Sample, Signal};
 
 use crate::can::dbc::Dbc;
 use crate::can::decode::FrameDecoder;
@@ -67,26 +69,71 @@ pub fn open_with(path: &Path, config: &Config, bar: &ProgressBar) -> Result<Box<
     if file.metadata().map_err(reading)?.is_dir() {
         return Err(Failure::new(Code::NoInput, format!("{}: is a folder; name a log file", path.display())));
     }
-    let mut head = Vec::with_capacity(HEAD_BYTES);
-    file.by_ref().take(HEAD_BYTES as u64).read_to_end(&mut head).map_err(reading)?;
     let name = path.display().to_string();
+    let head = head_of(&mut file).map_err(reading)?;
     let kind = LogKind::of(&head, &name)?;
-    let file = bar.wrap_read(File::open(path).map_err(reading)?);
-    match kind {
-        LogKind::Mcap => Ok(Box::new(mcap::McapSource::new(file, &name, config.mapping())?)),
-        LogKind::Csv | LogKind::Candump => open_text(kind, file, &name, config),
-    }
+    let source = match kind {
+        LogKind::Mcap => {
+            file.rewind().map_err(|_| mcap_from_pipe(&name))?;
+            Box::new(mcap::McapSource::new(bar.wrap_read(file), &name, config.mapping())?)
+        }
+        // What has been read of a pipe does not come again.
+        LogKind::Csv | LogKind::Candump => {
+            open_text(kind, bar.wrap_read(Cursor::new(head).chain(file)), &name, config)?
+        }
+    };
+    Ok(Box::new(Usable { source, name, samples: 0, usable: false }))
 }
 
 fn open_standard_input(config: &Config) -> Result<Box<dyn Source + Send>, Failure> {
     let name = "standard input";
-    let mut input = BufReader::new(std::io::stdin());
-    let head = input.fill_buf().map_err(|error| Failure::new(Code::Io, format!("{name}: {error}")))?;
-    match LogKind::of(&head[..head.len().min(HEAD_BYTES)], name)? {
-        LogKind::Mcap => {
-            Err(Failure::data(format!("{name}: is an MCAP log; name its file, MCAP is not read from a pipe")))
+    let mut input = std::io::stdin();
+    let head = head_of(&mut input).map_err(|error| Failure::new(Code::Io, format!("{name}: {error}")))?;
+    let source = match LogKind::of(&head, name)? {
+        LogKind::Mcap => return Err(mcap_from_pipe(name)),
+        kind => open_text(kind, Cursor::new(head).chain(input), name, config)?,
+    };
+    Ok(Box::new(Usable { source, name: name.into(), samples: 0, usable: false }))
+}
+
+/// The bytes by which a log's kind is told.
+fn head_of(input: &mut impl Read) -> std::io::Result<Vec<u8>> {
+    let mut head = Vec::with_capacity(HEAD_BYTES);
+    input.take(HEAD_BYTES as u64).read_to_end(&mut head)?;
+    Ok(head)
+}
+
+fn mcap_from_pipe(name: &str) -> Failure {
+    Failure::data(format!("{name}: is an MCAP log; name its file, MCAP is not read from a pipe"))
+}
+
+/// A log that ends in a failure where none of its commands was a number: nobody is to take silence for health.
+struct Usable {
+    source: Box<dyn Source + Send>,
+    name: String,
+    samples: u64,
+    usable: bool,
+}
+
+impl Source for Usable {
+    fn next_sample(&mut self) -> Result<Option<Sample>, Failure> {
+        let sample = self.source.next_sample()?;
+        match &sample {
+            Some(sample) => {
+                self.samples += 1;
+                self.usable |= sample.get(Signal::Command).is_some_and(f64::is_finite);
+            }
+            None if self.usable => {}
+            None => {
+                let what = format!("{}: none of its {} commands is a number", self.name, self.samples);
+                return Err(Failure::data(what));
+            }
         }
-        kind => open_text(kind, input, name, config),
+        Ok(sample)
+    }
+
+    fn notes(&self) -> Vec<String> {
+        self.source.notes()
     }
 }
 
@@ -114,5 +161,5 @@ fn open_text(
         })?;
         return Ok(Box::new(candump::CandumpSource::new(input, name, decoder)));
     }
-    Ok(Box::new(csv::CsvSource::new(input, name, mapping, &config.time_column)?))
+    Ok(Box::new(csv::CsvSource::new(input, name, &mapping, &config.time_column, config.time_unit)?))
 }

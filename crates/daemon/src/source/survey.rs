@@ -1,22 +1,24 @@
 //! A look at a whole log: topics, rates, gaps, numeric fields, and a guess what they are.
 
 use std::collections::{BTreeMap, HashMap};
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{Cursor, Read, Seek};
 
 use mcap::records::op;
 use seepd_signals::Signal;
 use serde::Serialize;
 
 use super::bus_survey::{BusFound, BusSurvey, RawGuess};
-use super::candump::next_line;
+use super::candump::{self, LONGEST_LINE};
 use super::decode::Decoder;
 use super::fields::{DEEPEST, FieldVisitor, Step};
 use super::guess::{Guess, guess};
 use super::intervals::Intervals;
 use super::kind::{HEAD_BYTES, LogKind};
+use super::lines::Lines;
 use super::mcap_file::{ChannelRecord, McapFile, Schemas};
-use crate::can::candump::Line;
+use super::rows::Rows;
 use crate::can::dbc::Dbc;
+use crate::config::TimeUnit;
 use crate::failure::{Code, Failure};
 
 /// `seepd.inspect/1`: what a log holds.
@@ -30,10 +32,22 @@ pub struct LogSurvey {
     pub kind: &'static str,
     /// Topics in the order of their names.
     pub topics: Vec<TopicSurvey>,
+    /// Where a CSV's time is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time: Option<TimeGuess>,
     /// The mapping that would read the guessed signals, by signal.
     pub mapping: BTreeMap<Signal, Guess>,
     /// What was damaged or could not be looked into.
     pub notes: Vec<String>,
+}
+
+/// A CSV's time column, with the unit that its name tells.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct TimeGuess {
+    /// Name.
+    pub column: String,
+    /// Unit.
+    pub unit: TimeUnit,
 }
 
 /// A topic; a CSV's rows are one, and so are a CAN log's frames of one interface and identifier.
@@ -96,7 +110,7 @@ const LOOKED_INTO: u64 = 20_000;
 /// Bytes of messages that are looked into in all.
 const BYTES_LOOKED_INTO: usize = 256 << 20;
 /// Fields of a topic that are told.
-const FIELDS_KEPT: usize = 256;
+pub(super) const FIELDS_KEPT: usize = 256;
 /// Longest path of a field that is told, bytes.
 const LONGEST_PATH: usize = 256;
 /// Elements of an array that are told; long arrays are images and clouds of points, not signals.
@@ -121,18 +135,23 @@ pub fn survey<R: Read + Seek>(
     let io = |error: std::io::Error| Failure::new(Code::Io, format!("{name}: {error}"));
     let mut head = Vec::new();
     input.by_ref().take(HEAD_BYTES as u64).read_to_end(&mut head).map_err(io)?;
-    input.seek(SeekFrom::Start(0)).map_err(io)?;
-    Ok(match LogKind::of(&head, name)? {
+    let kind = LogKind::of(&head, name)?;
+    if kind == LogKind::Mcap {
+        input.rewind().map_err(io)?;
+    }
+    // What has been read of a pipe does not come again.
+    let text = Cursor::new(head).chain(&mut input);
+    Ok(match kind {
         LogKind::Mcap => {
             let (topics, notes) = survey_mcap(input, name)?;
             LogSurvey::new(name, "MCAP", topics, None, notes)
         }
         LogKind::Csv => {
-            let (topic, notes) = survey_csv(input, name, time_column)?;
-            LogSurvey::new(name, "CSV", vec![topic], None, notes)
+            let (topic, time, notes) = survey_csv(text, name, time_column)?;
+            LogSurvey { time, ..LogSurvey::new(name, "CSV", vec![topic], None, notes) }
         }
         LogKind::Candump => {
-            let ((topics, raw), notes) = survey_candump(input, name, dbc)?;
+            let ((topics, raw), notes) = survey_candump(text, name, dbc)?;
             LogSurvey::new(name, "candump", topics, raw, notes)
         }
     })
@@ -222,26 +241,34 @@ fn survey_csv(
     input: impl Read,
     name: &str,
     time_column: &str,
-) -> Result<(TopicSurvey, Vec<String>), Failure> {
-    let data = |error: csv::Error| Failure::data(format!("{name}: {error}"));
-    let mut reader = super::csv::csv_reader(input, name)?;
-    let headers = reader.headers().map_err(data)?.clone();
+) -> Result<(TopicSurvey, Option<TimeGuess>, Vec<String>), Failure> {
+    let (mut rows, headers) = Rows::new(input).map_err(|what| Failure::data(format!("{name}: {what}")))?;
     let mut topic = TopicSurvey { topic: "rows".into(), encoding: "csv".into(), ..TopicSurvey::default() };
-    let mut row = csv::StringRecord::new();
-    while reader.read_record(&mut row).map_err(data)? {
+    let unit = TimeUnit::of_column(time_column);
+    while let Some(row) = rows.next().map_err(|error| Failure::new(Code::Io, format!("{name}: {error}")))? {
         topic.messages += 1;
-        for (column, text) in headers.iter().zip(&row) {
-            let Ok(value) = text.parse::<f64>() else { continue };
-            if column == time_column {
-                topic.take_time((value * 1e9) as i64);
-            } else {
-                topic.take_field(column, value);
+        let Ok(row) = row else {
+            topic.unreadable += 1;
+            continue;
+        };
+        for (column, text) in headers.iter().zip(row.fields()) {
+            let value = std::str::from_utf8(text).ok().and_then(|text| text.parse::<f64>().ok());
+            match value {
+                None => {}
+                Some(time) if column == time_column => topic.take_time((time * unit.nanoseconds()) as i64),
+                Some(value) => topic.take_field(column, value),
             }
         }
     }
+    let mut notes = Vec::new();
     let known = headers.iter().any(|column| column == time_column);
-    let note = format!("no column `{time_column}` for the time; name it with --time-column");
-    Ok((topic.finished(), if known { vec![] } else { vec![note] }))
+    if !known {
+        notes.push(format!("no column `{time_column}` for the time; name it with --time-column"));
+    } else if unit != TimeUnit::S {
+        notes.push(format!("by its name the column `{time_column}` is taken to be in {}", unit.name()));
+    }
+    let time = known.then(|| TimeGuess { column: time_column.to_owned(), unit });
+    Ok((topic.finished(), time, notes))
 }
 
 fn survey_candump(
@@ -249,23 +276,19 @@ fn survey_candump(
     name: &str,
     dbc: Option<&Dbc>,
 ) -> Result<(BusFound, Vec<String>), Failure> {
-    let mut reader = BufReader::with_capacity(1 << 16, input);
+    let mut lines = Lines::new(input, LONGEST_LINE);
     let mut bus = BusSurvey::new(dbc);
-    let (mut bytes, mut unreadable, mut fractions, mut any) = (Vec::new(), 0, false, false);
-    while next_line(&mut reader, &mut bytes)
-        .map_err(|error| Failure::new(Code::Io, format!("{name}: {error}")))?
-    {
-        let text = bytes.trim_ascii();
-        if text.is_empty() {
-            continue;
+    let (mut unreadable, mut fractions, mut any) = (0, false, false);
+    while let Some(line) = lines.next().map_err(|error| Failure::new(Code::Io, format!("{name}: {error}")))? {
+        match candump::parse(line) {
+            None => {}
+            Some(Err(_)) => unreadable += 1,
+            Some(Ok(line)) => {
+                any = true;
+                fractions |= !line.whole_second;
+                bus.take(line.interface, &line.frame, line.time_ns);
+            }
         }
-        let Ok(line) = Line::parse(text) else {
-            unreadable += 1;
-            continue;
-        };
-        any = true;
-        fractions |= !line.whole_second;
-        bus.take(line.interface, &line.frame, line.time_ns);
     }
     unreadable += bus.left_out;
     let mut notes = Vec::new();
@@ -401,7 +424,15 @@ impl LogSurvey {
                 .entry(Signal::Command)
                 .or_insert_with(|| Guess::of_bits(raw.interface, raw.bits, raw.scale));
         }
-        LogSurvey { schema: "seepd.inspect/1", file: file.into(), kind, topics, mapping, notes }
+        LogSurvey { schema: "seepd.inspect/1", file: file.into(), kind, topics, time: None, mapping, notes }
+    }
+
+    /// What stands at the top of `seepd.toml`, before the tables: where a CSV's time is.
+    pub fn time_toml(&self) -> String {
+        self.time.as_ref().map_or(String::new(), |time| {
+            let column = toml::Value::from(time.column.as_str());
+            format!("time_column = {column}\ntime_unit = \"{}\"\n\n", time.unit.name())
+        })
     }
 
     /// The mapping as a part of `seepd.toml`.
