@@ -17,7 +17,7 @@ use std::time::Duration;
 
 use daemon::{Daemon, Mosquitto, ask, axis_status, free_port, has, json, machine_toml, until};
 use serde_json::Value;
-use support::{simulate, stderr};
+use support::{seepd, simulate, stderr, stdout};
 
 const SOON: Duration = Duration::from_secs(15);
 
@@ -28,6 +28,24 @@ fn silent_press(folder: &Path, http_port: u16, broker_port: u16, version: &str) 
          [mqtt]\nhost = \"127.0.0.1\"\nport = {broker_port}\nversion = \"{version}\"\n",
         machine_toml(&folder.join("in.sock"))
     )
+}
+
+/// A machine that says nothing, and one whose log is read as fast as can be, with a page.
+fn silent_and_worn(folder: &Path, port: u16) -> String {
+    let log = folder.join("worn.mcap");
+    simulate(&log, &["--cycles", "8", "--leak-area", "1e-7", "--leak-growth", "3e-7"]);
+    let silent = machine_toml(&folder.join("in.sock"));
+    let silent = silent.replace("[source]", "[axes.source]").replace("[signals", "[axes.signals");
+    format!(
+        "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n[[axes]]\naxis = \"silent\"\n{silent}\
+         [[axes]]\naxis = \"worn\"\n[axes.alarm]\nraise_cycles = 1\n[axes.source]\nlog = \"{}\"\npace = \"fast\"\n",
+        log.display()
+    )
+}
+
+fn has_ended(port: u16, axis: &str) -> bool {
+    let answer = ask(port, "GET", &format!("/api/v1/axes/{axis}"), "");
+    answer.is_some_and(|answer| answer.json()["source"]["state"] == "ended")
 }
 
 /// Publishes a message.
@@ -191,6 +209,98 @@ fn idle_connections_leave_descriptors_for_the_rest() {
 }
 
 #[test]
+fn what_was_told_of_a_log_is_remembered_and_has_no_delay() {
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let _daemon = Daemon::start(folder.path(), &silent_and_worn(folder.path(), port));
+    until("the end of the log", SOON, || has_ended(port, "worn"));
+    let history = json(port, "/api/v1/history");
+    let flags = history.as_array().unwrap().iter().filter(|event| event["axis"] == "worn");
+    let flags: Vec<&str> = flags.filter_map(|event| event["flag_to"].as_str()).collect();
+    assert_eq!(flags, ["watch", "leak"]);
+    // Its times are its own: what has passed since then is no delay.
+    let worn = json(port, "/api/v1/axes/worn");
+    assert_eq!((&worn["cycles"], &worn["publication_delay_s"]), (&8.into(), &Value::Null));
+    let metrics = ask(port, "GET", "/metrics", "").unwrap().body;
+    assert!(metrics.contains("seepd_cycles_total{axis=\"worn\"} 8"), "{metrics}");
+    assert!(!metrics.contains("seepd_publication_delay_s{"), "{metrics}");
+}
+
+#[test]
+fn a_reload_takes_up_a_changed_token_and_a_changed_password() {
+    if !has("mosquitto") || !has("mosquitto_passwd") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let passwords = folder.path().join("passwords");
+    let made = Command::new("mosquitto_passwd")
+        .args(["-b", "-c"])
+        .arg(&passwords)
+        .args(["press", "the new one"])
+        .status();
+    assert!(made.unwrap().success());
+    let more = format!("allow_anonymous false\npassword_file {}", passwords.display());
+    let mosquitto = Mosquitto::start(folder.path(), free_port(), &more);
+    let port = free_port();
+    let (token, password) = (folder.path().join("token"), folder.path().join("password"));
+    fs::write(&token, "the-old-token-of-20-").unwrap();
+    fs::write(&password, "the old one").unwrap();
+    let config = format!(
+        "{}username = \"press\"\npassword_file = \"password\"\n",
+        silent_press(folder.path(), port, mosquitto.port, "3.1.1")
+    );
+    let config = config.replace("[mqtt]", "token_file = \"token\"\n[mqtt]");
+    let daemon = Daemon::start(folder.path(), &config);
+    let code = |token: &str| {
+        let header = format!("Authorization: Bearer {token}\r\n");
+        ask(port, "GET", "/api/v1/status", &header).map(|answer| answer.code)
+    };
+    until("the refusal", SOON, || daemon.words().contains("the broker at 127.0.0.1"));
+    until("an answer", SOON, || code("the-old-token-of-20-") == Some(200));
+    fs::write(&token, "the-new-token-of-20-").unwrap();
+    fs::write(&password, "the new one").unwrap();
+    daemon.signal("HUP");
+    until("the new token", SOON, || code("the-new-token-of-20-") == Some(200));
+    assert_eq!(code("the-old-token-of-20-"), Some(401));
+    until("the new password", SOON, || daemon.words().contains("connected to the broker"));
+    // Where nothing has changed everything goes on.
+    daemon.signal("HUP");
+    until("the second reload", SOON, || daemon.words().matches("configuration taken over").count() == 2);
+    assert_eq!(daemon.words().matches("connected to the broker").count(), 1, "{}", daemon.words());
+}
+
+#[test]
+fn a_password_that_others_can_read_and_an_open_page_are_remarked_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("seepd.toml");
+    fs::write(folder.path().join("secret"), "0123456789abcdef").unwrap();
+    let remarks = |http: &str, mqtt: &str| -> Vec<String> {
+        let text = format!(
+            "{}[http]\n{http}[mqtt]\nusername = \"press\"\npassword_file = \"secret\"\n{mqtt}",
+            machine_toml(Path::new("in.sock"))
+        );
+        fs::write(&path, text).unwrap();
+        let line = stdout(&seepd(["check", "--json", path.to_str().unwrap()]));
+        let line: Value = serde_json::from_str(&line).unwrap();
+        assert_eq!(line["good"], true);
+        let remarks = line["remarks"].as_array().unwrap().iter();
+        remarks.map(|remark| remark.as_str().unwrap().split_once(' ').unwrap().0.to_owned()).collect()
+    };
+    assert_eq!(remarks("", "host = \"broker.example\"\n"), ["http:", "mqtt:"]);
+    let text = stdout(&seepd(["check", path.to_str().unwrap()]));
+    assert_eq!(text.matches(": remark: ").count(), 2, "{text}");
+    // What stays on this machine, or is encrypted, is nobody else's to read.
+    for host in ["localhost\"", "127.0.0.2\"", "::1\"", "broker.example\"\ntls = true"] {
+        let mqtt = format!("host = \"{host}\n");
+        assert_eq!(remarks("token_file = \"secret\"\n", &mqtt), Vec::<String>::new(), "{host}");
+    }
+    // The daemon says it at its start.
+    let config = silent_press(folder.path(), free_port(), free_port(), "5");
+    let daemon = Daemon::start(folder.path(), &config);
+    until("the remark", SOON, || daemon.words().contains("http: has no token_file"));
+}
+
+#[test]
 fn the_page_shows_the_chosen_axis_alone_and_what_was_told_before() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/browser/axes.cjs");
     let modules = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/node/node_modules");
@@ -198,25 +308,9 @@ fn the_page_shows_the_chosen_axis_alone_and_what_was_told_before() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("worn.mcap");
-    simulate(&log, &["--cycles", "8", "--leak-area", "1e-7", "--leak-growth", "3e-7"]);
     let port = free_port();
-    let silent = machine_toml(&folder.path().join("in.sock"));
-    let silent = silent.replace("[source]", "[axes.source]").replace("[signals", "[axes.signals");
-    let config = format!(
-        "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n[[axes]]\naxis = \"silent\"\n{silent}\
-         [[axes]]\naxis = \"worn\"\n[axes.alarm]\nraise_cycles = 1\n[axes.source]\nlog = \"{}\"\npace = \"fast\"\n",
-        log.display()
-    );
-    let _daemon = Daemon::start(folder.path(), &config);
-    until("the end of the log", SOON, || {
-        let worn = ask(port, "GET", "/api/v1/axes/worn", "");
-        worn.is_some_and(|answer| answer.json()["source"]["state"] == "ended")
-    });
-    let history = json(port, "/api/v1/history");
-    let raised: Vec<&Value> =
-        history.as_array().unwrap().iter().filter(|event| event["axis"] == "worn").collect();
-    assert!(raised.iter().any(|event| event["flag_to"] == "leak"), "{history}");
+    let _daemon = Daemon::start(folder.path(), &silent_and_worn(folder.path(), port));
+    until("the end of the log", SOON, || has_ended(port, "worn"));
     let pictures =
         std::env::var_os("SEEPD_SCREENSHOTS").map_or_else(|| folder.path().to_owned(), PathBuf::from);
     let output = Command::new("node")

@@ -134,7 +134,8 @@ struct Desk<'a> {
 struct LastCycle {
     cycle: u64,
     end_ns: i64,
-    delay_s: f64,
+    /// None where samples have a log's own time, which the clock's cannot be compared with.
+    delay_s: Option<f64>,
 }
 
 impl<'a> Desk<'a> {
@@ -164,6 +165,11 @@ impl<'a> Desk<'a> {
         }
     }
 
+    /// How fast samples come; a bus has no other pace than its own.
+    fn pace(&self) -> Pace {
+        self.config.source.log.as_ref().map_or(Pace::Recorded, |_| self.config.source.pace)
+    }
+
     fn take(
         &mut self,
         pipeline: &mut Pipeline<'_>,
@@ -174,7 +180,7 @@ impl<'a> Desk<'a> {
             return;
         }
         let recorder = recorder.borrow();
-        let pace = self.config.source.log.as_ref().map_or(Pace::Recorded, |_| self.config.source.pace);
+        let pace = self.pace();
         for sample in samples {
             self.points.take(sample);
             self.sample_ns = sample.time_ns;
@@ -215,7 +221,8 @@ impl<'a> Desk<'a> {
     fn note_cycle(&mut self, line: &CycleLine<'_>) {
         let end_ns = line.t_end_ns();
         let delay_ns = self.around.clock.now_ns().saturating_sub(self.sample_ns);
-        self.last = Some(LastCycle { cycle: line.cycle, end_ns, delay_s: delay_ns.max(0) as f64 / 1e9 });
+        let delay_s = (self.pace() == Pace::Recorded).then_some(delay_ns.max(0) as f64 / 1e9);
+        self.last = Some(LastCycle { cycle: line.cycle, end_ns, delay_s });
         let course = Course {
             cycle: line.cycle,
             flag: line.flag,
@@ -400,7 +407,7 @@ impl<'a> Desk<'a> {
                 finding,
                 cycle: last.map(|last| last.cycle),
                 t_last_cycle_ns: last.map(|last| last.end_ns),
-                publication_delay_s: last.map(|last| last.delay_s),
+                publication_delay_s: last.and_then(|last| last.delay_s),
                 cycles: summary.cycles,
                 rejected: summary.rejected,
                 samples_rejected: summary.samples_rejected,
