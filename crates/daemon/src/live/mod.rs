@@ -38,7 +38,7 @@ use axis::Surroundings;
 use clock::Clock;
 use hub::{AxisStatus, Hub};
 use state::{Keeper, Trends, read_trends, write_trends};
-use systemd::{Watchdog, tell};
+use systemd::{Watchdog, one_line, tell};
 
 /// Time that tasks have to end by themselves.
 const ENDING: Duration = Duration::from_millis(1200);
@@ -494,7 +494,8 @@ impl Daemon {
                 format!("{} from {}", axis.config.axis, source.can.clone().or(log).unwrap_or_default())
             })
             .collect();
-        format!("{} axes ({}), {} sinks", axes.len(), axes.join(", "), self.sinks.len())
+        let line = format!("{} axes ({}), {} sinks", axes.len(), axes.join(", "), self.sinks.len());
+        one_line(&line)
     }
 }
 

@@ -13,6 +13,11 @@ pub fn tell(states: &[NotifyState<'_>]) {
     }
 }
 
+/// A text as it may stand in a message to the service manager, in which a line break would begin another assignment.
+pub fn one_line(text: &str) -> String {
+    text.replace(char::is_control, " ")
+}
+
 /// Progress of an axis whose log has ended: there is nothing left to do, and nothing to starve for.
 pub const ENDED: u64 = u64::MAX;
 
@@ -66,6 +71,11 @@ impl Default for Watchdog {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_name_with_a_line_break_says_nothing_else_to_the_service_manager() {
+        assert_eq!(one_line("press\nMAINPID=1\r\u{1b}[2J ä"), "press MAINPID=1  [2J ä");
+    }
 
     #[test]
     fn one_axis_that_stands_still_starves_the_watchdog() {
