@@ -120,8 +120,7 @@ impl Signals {
 /// An axis at work.
 struct RunningAxis {
     config: Config,
-    /// When its model file was last changed.
-    model_changed: Option<SystemTime>,
+    files: Stamps,
     stop: watch::Sender<bool>,
     task: JoinHandle<bool>,
     progress: Arc<AtomicU64>,
@@ -145,10 +144,25 @@ impl SinkConfig {
             SinkConfig::Recording(..) => recording::SINK.into(),
         }
     }
+
+    /// Secrets and certificates.
+    fn files(&self) -> impl Iterator<Item = &PathBuf> {
+        let files = match self {
+            SinkConfig::Http(http) => [http.token_file.as_ref(), None, None, None],
+            SinkConfig::Mqtt(mqtt) => {
+                let ca_file = Some(&mqtt.ca_file).filter(|_| mqtt.tls);
+                let own = [&mqtt.password_file, &mqtt.certificate_file, &mqtt.key_file].map(Option::as_ref);
+                [ca_file, own[0], own[1], own[2]]
+            }
+            SinkConfig::Can(..) | SinkConfig::Recording(..) => [None; 4],
+        };
+        files.into_iter().flatten()
+    }
 }
 
 struct RunningSink {
     config: SinkConfig,
+    files: Stamps,
     name: String,
     stop: watch::Sender<bool>,
     task: Ending,
@@ -259,9 +273,9 @@ impl Daemon {
             folder: self.state_folder.clone(),
             progress: Arc::clone(&progress),
         };
-        let model_changed = changed(&config);
+        let files = stamps(axis_files(&config));
         let task = tokio::spawn(axis::run(config.clone(), models, source, around, orders, stopped));
-        self.axes.push(RunningAxis { config, model_changed, stop, task, progress });
+        self.axes.push(RunningAxis { config, files, stop, task, progress });
         self.watch_axes();
     }
 
@@ -285,6 +299,7 @@ impl Daemon {
 
     fn try_start_sink(&mut self, config: SinkConfig, name: &str) -> Result<(), Failure> {
         let (stop, stopped) = watch::channel(false);
+        let files = stamps(config.files());
         let hub = Arc::clone(&self.hub);
         let task = match &config {
             SinkConfig::Http(http) => {
@@ -308,7 +323,7 @@ impl Daemon {
                 Ending::Thread(recorder, thread)
             }
         };
-        self.sinks.push(RunningSink { config, name: name.to_owned(), stop, task });
+        self.sinks.push(RunningSink { config, files, name: name.to_owned(), stop, task });
         Ok(())
     }
 
@@ -425,7 +440,9 @@ impl Daemon {
         let sinks = sink_configs(&config);
         sinks.iter().try_for_each(check_sink)?;
         let same = |running: &RunningAxis, axis: &Config| {
-            running.config == *axis && running.model_changed == changed(axis) && !running.task.is_finished()
+            running.config == *axis
+                && running.files == stamps(axis_files(axis))
+                && !running.task.is_finished()
         };
         let axes = config.axis_tables();
         let mut ready = Vec::new();
@@ -445,8 +462,9 @@ impl Daemon {
                 self.hub.remove_axis(&name);
             }
         }
-        let (stay, go): (Vec<_>, Vec<_>) =
-            std::mem::take(&mut self.sinks).into_iter().partition(|running| sinks.contains(&running.config));
+        let (stay, go): (Vec<_>, Vec<_>) = std::mem::take(&mut self.sinks).into_iter().partition(|running| {
+            sinks.contains(&running.config) && running.files == stamps(running.config.files())
+        });
         self.sinks = stay;
         for sink in go {
             self.end_sink(sink).await;
@@ -566,11 +584,20 @@ fn sink_configs(config: &Config) -> Vec<SinkConfig> {
     recording.into_iter().chain(http).chain(mqtt).chain(can).collect()
 }
 
-/// When the files that an axis is made of were last changed: the newest of them.
-fn changed(config: &Config) -> Option<SystemTime> {
-    let of_duty_cycles = config.duty_cycles.iter().map(|duty_cycle| &duty_cycle.model);
-    let files = [&config.model, &config.dbc].into_iter().flatten().chain(of_duty_cycles);
-    files.filter_map(|path| fs::metadata(path).ok()?.modified().ok()).max()
+/// When files were last changed, by which a reload tells what to take up anew although the configuration still says the same.
+type Stamps = Vec<Option<SystemTime>>;
+
+fn stamps<'a>(files: impl IntoIterator<Item = &'a PathBuf>) -> Stamps {
+    files.into_iter().map(|path| fs::metadata(path).ok()?.modified().ok()).collect()
+}
+
+/// The files that an axis is made of.
+fn axis_files(config: &Config) -> impl Iterator<Item = &PathBuf> {
+    let of_axis = [&config.model, &config.dbc, &config.baseline.file].into_iter().flatten();
+    let of_duty_cycles = config.duty_cycles.iter();
+    of_axis.chain(
+        of_duty_cycles.flat_map(|duty_cycle| [&duty_cycle.model].into_iter().chain(&duty_cycle.baseline)),
+    )
 }
 
 /// A name that no other run has: 64 random bits, which the standard library takes from the system.
