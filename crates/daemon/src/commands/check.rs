@@ -37,6 +37,20 @@ struct Finding {
     good: bool,
     /// What it is, or what is wrong with it.
     message: String,
+    /// What a good configuration allows and should be known.
+    remarks: Vec<String>,
+}
+
+/// What a good file is.
+struct Good {
+    message: String,
+    remarks: Vec<String>,
+}
+
+impl From<String> for Good {
+    fn from(message: String) -> Self {
+        Good { message, remarks: Vec::new() }
+    }
 }
 
 /// Runs the command.
@@ -48,9 +62,9 @@ pub fn run(arguments: &CheckArguments) -> Result<Outcome, Failure> {
     for path in &arguments.files {
         let (kind, result) = check(path);
         if arguments.json {
-            let message = match &result {
-                Ok(message) => message.clone(),
-                Err(failure) => failure.message.clone(),
+            let (message, remarks) = match &result {
+                Ok(good) => (good.message.clone(), good.remarks.clone()),
+                Err(failure) => (failure.message.clone(), Vec::new()),
             };
             let finding = Finding {
                 schema: "seepd.check/1",
@@ -58,11 +72,15 @@ pub fn run(arguments: &CheckArguments) -> Result<Outcome, Failure> {
                 kind,
                 good: result.is_ok(),
                 message,
+                remarks,
             };
             let line = serde_json::to_string(&finding).unwrap_or_default();
             print(format!("{line}\n").as_bytes())?;
-        } else if let Ok(message) = &result {
-            print(format!("{}: good {kind}: {message}\n", path.display()).as_bytes())?;
+        } else if let Ok(good) = &result {
+            let place = path.display();
+            let remarks: String =
+                good.remarks.iter().map(|remark| format!("{place}: remark: {remark}\n")).collect();
+            print(format!("{place}: good {kind}: {}\n{remarks}", good.message).as_bytes())?;
         }
         wrong.extend(result.err());
     }
@@ -74,15 +92,15 @@ pub fn run(arguments: &CheckArguments) -> Result<Outcome, Failure> {
 }
 
 /// The file's kind, and what it is or what is wrong with it.
-fn check(path: &Path) -> (&'static str, Result<String, Failure>) {
+fn check(path: &Path) -> (&'static str, Result<Good, Failure>) {
     let text = match fs::read(path) {
         Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
         Err(error) => return ("file", Err(Failure::reading(path, &error))),
     };
     if text.trim_start().starts_with('{') {
-        ("model", check_model(path))
+        ("model", check_model(path).map(Good::from))
     } else if is_plant(&text) {
-        ("plant", check_plant(path, &text))
+        ("plant", check_plant(path, &text).map(Good::from))
     } else {
         ("configuration", check_configuration(path))
     }
@@ -135,7 +153,7 @@ fn check_plant(path: &Path, _text: &str) -> Result<String, Failure> {
     ))
 }
 
-fn check_configuration(path: &Path) -> Result<String, Failure> {
+fn check_configuration(path: &Path) -> Result<Good, Failure> {
     let config = Config::read(path)?;
     let mut axes = Vec::new();
     for axis in config.axes() {
@@ -160,7 +178,7 @@ fn check_configuration(path: &Path) -> Result<String, Failure> {
         ));
     }
     check_sinks(&config)?;
-    Ok(axes.join("; "))
+    Ok(Good { message: axes.join("; "), remarks: config.remarks() })
 }
 
 fn described(NamedModel { name, model }: &NamedModel) -> String {

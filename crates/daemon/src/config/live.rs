@@ -1,6 +1,6 @@
 //! The tables of `seepd.toml` that the live daemon reads: source, state, sinks.
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
@@ -159,6 +159,14 @@ impl Default for HttpConfig {
     }
 }
 
+impl HttpConfig {
+    /// What is allowed and should be known.
+    fn remark(&self) -> Option<String> {
+        let what = "whoever is logged in to this machine can read the page and give orders";
+        self.token_file.is_none().then(|| format!("http: has no token_file: {what}"))
+    }
+}
+
 /// Versions of MQTT.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub enum MqttVersion {
@@ -224,6 +232,18 @@ impl MqttConfig {
     /// The port in force.
     pub fn port(&self) -> u16 {
         self.port.unwrap_or(if self.tls { 8883 } else { 1883 })
+    }
+
+    /// Whether the broker is on this machine.
+    fn is_local(&self) -> bool {
+        self.host == "localhost" || self.host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+    }
+
+    /// What is allowed and should be known.
+    fn remark(&self) -> Option<String> {
+        let readable = self.password_file.is_some() && !self.tls && !self.is_local();
+        let what = "whoever listens on the way to the broker can read the password";
+        readable.then(|| format!("mqtt: has a password_file without tls: {what}"))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -425,6 +445,15 @@ impl RecordingConfig {
     }
 }
 
+impl super::Config {
+    /// What the configuration allows and should be known, a line each.
+    pub fn remarks(&self) -> Vec<String> {
+        let of_http = self.http.as_ref().and_then(HttpConfig::remark);
+        let of_mqtt = self.mqtt.as_ref().and_then(MqttConfig::remark);
+        of_http.into_iter().chain(of_mqtt).collect()
+    }
+}
+
 /// Checks the sinks' tables.
 ///
 /// # Errors
@@ -450,7 +479,7 @@ pub(super) fn check_sinks(config: &super::Config) -> Result<(), String> {
         }
         if let Some(mqtt) = &config.mqtt
             && mqtt.port() == http.listen.port()
-            && matches!(mqtt.host.as_str(), "localhost" | "127.0.0.1" | "::1")
+            && mqtt.is_local()
             && http.listen.ip().is_loopback()
         {
             return Err(format!(

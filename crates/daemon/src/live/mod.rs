@@ -90,6 +90,7 @@ pub async fn run(path: &Path) -> Result<(), Failure> {
     daemon.start(&config)?;
     tell(&[NotifyState::Ready, NotifyState::Status(&daemon.status_line())]);
     tracing::info!("{}", daemon.status_line());
+    remark(&config);
     let result = daemon.work(path, signals).await;
     tell(&[NotifyState::Stopping]);
     daemon.stop().await;
@@ -476,6 +477,7 @@ impl Daemon {
         }
         ready.into_iter().for_each(|axis| self.start_axis(axis));
         self.watch_axes();
+        remark(&config);
         Ok(())
     }
 
@@ -515,6 +517,10 @@ impl Daemon {
         let line = format!("{} axes ({}), {} sinks", axes.len(), axes.join(", "), self.sinks.len());
         one_line(&line)
     }
+}
+
+fn remark(config: &Config) {
+    config.remarks().iter().for_each(|remark| tracing::warn!("{remark}"));
 }
 
 fn monotonic() -> NotifyState<'static> {
