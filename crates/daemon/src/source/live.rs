@@ -88,7 +88,7 @@ impl LiveSource {
     /// Opens an axis's source, for a model of a rate, Hz. A bus that is not there yet is no error.
     ///
     /// # Errors
-    /// [`Failure`] where there is neither a bus nor a log, the log cannot be read, or the mapping fits neither.
+    /// [`Failure`] where there is neither a bus nor a log, the log is a file that cannot be read, or the mapping fits neither.
     pub fn open(config: &Config, rate_hz: f64, clock: Clock) -> Result<Self, Failure> {
         match (&config.source.can, &config.source.log) {
             (Some(_), _) => Ok(LiveSource::Can(Box::new(CanSource::new(config, rate_hz, clock)?))),
@@ -148,10 +148,20 @@ pub struct PlayedLog {
 
 impl PlayedLog {
     fn open(path: &Path, config: &Config, clock: Clock) -> Result<Self, Failure> {
-        let mut source = super::open(path, config)?;
+        // A file says at once whether it can be read. A pipe or a terminal may let one wait for its first byte: its thread waits.
+        let waits = path == Path::new("-")
+            || std::fs::metadata(path).is_ok_and(|facts| !facts.is_file() && !facts.is_dir());
+        let opened = if waits { None } else { Some(super::open(path, config)?) };
         let (sender, portions) = mpsc::channel(BATCHES);
-        let axis = config.axis.clone();
+        let (axis, place, config_of_axis) = (config.axis.clone(), path.to_owned(), config.clone());
         let read = move || {
+            let mut source = match opened.map_or_else(|| super::open(&place, &config_of_axis), Ok) {
+                Ok(source) => source,
+                Err(failure) => {
+                    let _ = sender.blocking_send(Portion::End(Some(failure.message)));
+                    return;
+                }
+            };
             loop {
                 let mut samples = Vec::with_capacity(BATCH);
                 let mut end = None;
