@@ -2,6 +2,11 @@
 //! within 64 MiB above what a good log takes, and what is good beside it counts.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
+#[cfg(feature = "live")]
+#[expect(clippy::disallowed_methods, reason = "tests of a live daemon wait")]
+#[expect(dead_code, reason = "other tests use the rest")]
+#[path = "support/daemon.rs"]
+mod daemon;
 #[expect(dead_code, reason = "other tests use the rest")]
 mod support;
 
@@ -665,4 +670,70 @@ fn a_message_of_20_000_signals_is_inspected_by_its_first() {
         (topic["messages"].as_u64(), topic["fields"].as_array().map(Vec::len)),
         (Some(20_000), Some(256))
     );
+}
+
+/// Names with escape sequences, as logs, files and others can have them, show themselves instead of doing something.
+#[test]
+fn control_characters_in_names_do_not_reach_the_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let evil = "\u{1b}]0;owned\u{7}\u{9b}2J\nseepd: all is well\r";
+    let records: Vec<u8> = [
+        schema_record(1, evil, "jsonschema", b"{}"),
+        channel_record(1, 1, evil, "json"),
+        channel_record(2, 1, "/other", evil),
+        message_record(1, 0, serde_json::json!({ evil: 0.5, "command": evil }).to_string().as_bytes()),
+        message_record(1, 1, serde_json::json!({ evil: 0.25, "command": 0.1 }).to_string().as_bytes()),
+        message_record(1, 2, serde_json::json!({ evil: 0.25, "command": 0.2 }).to_string().as_bytes()),
+    ]
+    .concat();
+    let log = file(&folder, "evil\u{1b}[2J.mcap", [MAGIC, &records].concat());
+    let csv = file(&folder, "evil.csv", format!("{}\n1,2\n", evil.replace('\n', "")));
+    let (log, csv) = (log.to_str().unwrap(), csv.to_str().unwrap());
+    for arguments in [
+        vec!["inspect", log],
+        vec!["inspect", "--json", log],
+        vec!["replay", log],
+        vec!["replay", "--topic", evil, "--command", "command", log],
+        vec!["replay", "--topic", evil, "--command", evil, log],
+        vec!["replay", csv],
+        vec!["check", log, csv],
+    ] {
+        let output = seepd(&arguments);
+        for text in [&output.stdout, &output.stderr] {
+            let text = String::from_utf8(text.clone()).unwrap();
+            let foreign = text.find(|c: char| c.is_control() && c != '\n' && c != '\t');
+            assert_eq!(foreign, None, "{arguments:?}: {text:?}");
+            assert!(!text.contains("\nseepd: all is well"), "{arguments:?}: {text:?}");
+        }
+    }
+    let proposed = seepd(["inspect", log]);
+    let proposed: toml::Value = toml::from_str(&support::stdout(&proposed)).unwrap();
+    // The mapping has the very name.
+    assert_eq!(proposed["signals"]["command"]["topic"].as_str(), Some(evil));
+}
+
+/// A pipe that nobody writes to keeps its own axis waiting, and neither the others nor the signal to end.
+#[cfg(feature = "live")]
+#[test]
+fn a_fifo_without_a_writer_holds_up_its_axis_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let fifo = folder.path().join("fifo");
+    assert!(Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    let port = daemon::free_port();
+    let config = format!(
+        "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n\
+         [[axes]]\naxis = \"waiting\"\n[axes.source]\nlog = \"{}\"\n\
+         [[axes]]\naxis = \"reading\"\n[axes.source]\npace = \"fast\"\nlog = \"{}\"\n",
+        fifo.display(),
+        fixture("nominal_leak_1e-6.csv").display()
+    );
+    let running = daemon::Daemon::start(folder.path(), &config);
+    let samples = |axis: &str| {
+        let answer = daemon::ask(port, "GET", &format!("/api/v1/axes/{axis}"), "")?;
+        answer.json()["source"]["samples"].as_u64()
+    };
+    let long = std::time::Duration::from_secs(30);
+    daemon::until("the other axis reads", long, || samples("reading") == Some(10_000));
+    assert_eq!(samples("waiting"), Some(0));
+    assert_eq!(running.terminate().0.code(), Some(0));
 }

@@ -1,6 +1,5 @@
 //! The command line.
 
-use std::io::Write;
 use std::process::ExitCode;
 
 use clap::error::ErrorKind;
@@ -8,6 +7,7 @@ use clap::{CommandFactory, Parser, Subcommand};
 
 use crate::commands;
 use crate::failure::{Code, Failure};
+use crate::progress::warn;
 
 /// Detects and sizes the oil leak past a hydraulic cylinder's piston seal from the PID valve command alone.
 #[derive(Debug, Parser)]
@@ -117,8 +117,7 @@ pub enum Outcome {
 }
 
 fn tell(failure: &Failure) -> ExitCode {
-    // Nobody listens any more where even this cannot be written.
-    let _ = writeln!(std::io::stderr(), "seepd: {}", failure.message);
+    warn(&failure.message);
     ExitCode::from(failure.code as u8)
 }
 

@@ -4,6 +4,8 @@ use std::io::{IsTerminal, Write};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::sink::plain;
+
 /// A progress bar over steps on a terminal, and nothing elsewhere.
 #[cfg(feature = "simulate")]
 pub(crate) fn progress_bar(steps: u64, what: &'static str) -> ProgressBar {
@@ -26,7 +28,8 @@ fn bar(length: u64, what: &'static str, template: &str) -> ProgressBar {
     }
 }
 
-/// A warning, as one line.
+/// A warning or an error, as one line.
 pub(crate) fn warn(message: &str) {
-    let _ = writeln!(std::io::stderr(), "seepd: {message}");
+    // Nobody listens any more where even this cannot be written.
+    let _ = writeln!(plain::stderr(), "seepd: {}", plain::one_line(message));
 }

@@ -10,6 +10,7 @@ use crate::baseline::BaselineFile;
 use crate::cli::Outcome;
 use crate::config::{Config, NamedModel, load_model};
 use crate::failure::{Code, Failure};
+use crate::progress::warn;
 use crate::sink::terminal::print;
 use crate::source::frame_decoder;
 
@@ -84,11 +85,10 @@ pub fn run(arguments: &CheckArguments) -> Result<Outcome, Failure> {
         }
         wrong.extend(result.err());
     }
-    let mut wrong = wrong.into_iter();
-    let Some(first) = wrong.next() else { return Ok(Outcome::Good) };
-    let others: Vec<String> = wrong.map(|failure| failure.message).collect();
-    let message = std::iter::once(first.message).chain(others).collect::<Vec<_>>().join("\nseepd: ");
-    Err(Failure::new(first.code, message))
+    let Some(code) = wrong.first().map(|first| first.code) else { return Ok(Outcome::Good) };
+    let last = wrong.pop().map_or(String::new(), |failure| failure.message);
+    wrong.iter().for_each(|failure| warn(&failure.message));
+    Err(Failure::new(code, last))
 }
 
 /// The file's kind, and what it is or what is wrong with it.

@@ -1,7 +1,7 @@
 //! `seepd init`: a first configuration, from what is on the bus or in a log.
 
 use std::fs;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -12,6 +12,7 @@ use crate::cli::Outcome;
 use crate::config::Config;
 use crate::failure::{Code, Failure};
 use crate::output::{Outputs, OverwriteArguments};
+use crate::sink::plain::{self, one_line};
 use crate::source::survey::LogSurvey;
 
 /// Listens on a CAN interface (or looks into a log), proposes where the signals are, and writes a configuration for `run`.
@@ -53,14 +54,14 @@ pub fn run(arguments: &InitArguments) -> Result<Outcome, Failure> {
         Failure::new(Code::Usage, format!("what you gave makes no configuration: {message}"))
     })?;
     target.write(text)?;
-    let mut out = io::stderr().lock();
+    let mut out = plain::stderr();
     // Where nobody reads this, the file still counts.
     let _ = writeln!(out, "{}: {} identifiers or topics seen", found.file, found.topics.len());
     for topic in &found.topics {
         let rate = topic.rate_hz.map_or(String::new(), |rate| format!(" at {rate:.1} Hz"));
         let bits =
             topic.changing_bits.as_ref().map_or(String::new(), |bits| format!(", changing bits {bits}"));
-        let _ = writeln!(out, "  {} {}{rate}{bits}", topic.topic, topic.schema);
+        let _ = writeln!(out, "  {} {}{rate}{bits}", one_line(&topic.topic), one_line(&topic.schema));
     }
     let path = arguments.out.display();
     let _ = writeln!(
@@ -74,7 +75,10 @@ fn configuration(arguments: &InitArguments, found: &LogSurvey) -> String {
     let quoted = |path: &Path| toml::Value::from(path.display().to_string()).to_string();
     let absolute = |path: &Path| fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let place = arguments.place.display().to_string();
-    let mut text = format!("# Written by `seepd init {place}`. Every key: see the manual page and README.\n");
+    let mut text = format!(
+        "# Written by `seepd init {}`. Every key: see the manual page and README.\n",
+        one_line(&place)
+    );
     text += &format!("axis = {}\n", toml::Value::from(arguments.axis.as_str()));
     text += "# model = \"press-1.json\"   # absent: the model for the built-in press\n";
     if let Some(dbc) = &arguments.dbc {

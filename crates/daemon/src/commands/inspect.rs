@@ -12,8 +12,9 @@ use crate::can::dbc::Dbc;
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::progress::byte_bar;
+use crate::sink::plain::{self, one_line};
 use crate::sink::terminal::print;
-use crate::source::survey::{LogSurvey, survey};
+use crate::source::survey::{LogSurvey, survey, toml_text};
 
 /// Shows a log's topics, rates, gaps, encodings and numeric fields with their ranges, guesses which are the command,
 /// position, demand, pressures and load, and prints the mapping that would read them.
@@ -56,7 +57,7 @@ pub fn run(arguments: &InspectArguments) -> Result<Outcome, Failure> {
         // Nobody reads the overview where standard error is closed; the mapping still counts.
         let _ = print_overview(&found);
         if let Some(dbc) = &arguments.dbc {
-            print(format!("dbc = {}\n\n", toml::Value::from(dbc.display().to_string())).as_bytes())?;
+            print(format!("dbc = {}\n\n", toml_text(&dbc.display().to_string())).as_bytes())?;
         }
         print(found.time_toml().as_bytes())?;
         print(found.mapping_toml().as_bytes())?;
@@ -124,12 +125,12 @@ fn listen(interface: &str, _dbc: Option<&Dbc>, _seconds: f64) -> Result<LogSurve
 }
 
 fn print_overview(found: &LogSurvey) -> io::Result<()> {
-    let mut out = io::stderr().lock();
-    writeln!(out, "{}: {}", found.file, found.kind)?;
+    let mut out = plain::stderr();
+    writeln!(out, "{}: {}", one_line(&found.file), found.kind)?;
     for topic in &found.topics {
-        write!(out, "\n{} ({}", topic.topic, topic.encoding)?;
+        write!(out, "\n{} ({}", one_line(&topic.topic), one_line(&topic.encoding))?;
         if !topic.schema.is_empty() {
-            write!(out, ", {}", topic.schema)?;
+            write!(out, ", {}", one_line(&topic.schema))?;
         }
         write!(out, "): {} messages", topic.messages)?;
         if let Some(rate) = topic.rate_hz {
@@ -143,7 +144,7 @@ fn print_overview(found: &LogSurvey) -> io::Result<()> {
             writeln!(out, "  changing bits {bits}")?;
         }
         if let Some(problem) = &topic.problem {
-            writeln!(out, "  {problem}")?;
+            writeln!(out, "  {}", one_line(problem))?;
         }
         if topic.unreadable > 0 {
             writeln!(out, "  {} messages do not fit their schema", topic.unreadable)?;
@@ -151,11 +152,11 @@ fn print_overview(found: &LogSurvey) -> io::Result<()> {
         for field in &topic.fields {
             let guess = field.guess.as_ref().map_or(String::new(), |guess| format!("  ← {guess}"));
             let (least, largest) = (number(field.least), number(field.largest));
-            writeln!(out, "  {:<28} {least:>12} … {largest:<12}{guess}", field.path)?;
+            writeln!(out, "  {:<28} {least:>12} … {largest:<12}{guess}", one_line(&field.path))?;
         }
     }
     for note in &found.notes {
-        writeln!(out, "\n{note}")?;
+        writeln!(out, "\n{}", one_line(note))?;
     }
     writeln!(out)
 }

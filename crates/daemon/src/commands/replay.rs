@@ -15,11 +15,12 @@ use crate::failure::{Code, Failure};
 use crate::html::report::ReportPage;
 use crate::output::{Output, OutputFile, Outputs, OverwriteArguments};
 use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
-use crate::progress::byte_bar;
+use crate::progress::{byte_bar, warn};
 use crate::sink::csv::CsvSink;
 use crate::sink::html::HtmlSink;
 use crate::sink::json;
 use crate::sink::mcap::EventSink;
+use crate::sink::plain::Plain;
 use crate::sink::terminal::{self, Colour};
 use crate::source::{self, record::Clock};
 
@@ -115,7 +116,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     }
     files.finish(arguments)?;
     for note in notes {
-        let _ = writeln!(io::stderr(), "seepd: {note}");
+        warn(&note);
     }
     out.summary(&summary)?;
     if let Some(rate) = pipeline.wrong_rate_hz()
@@ -235,7 +236,7 @@ enum Format {
 
 /// Prints events on standard output. A reader that goes away ends the printing, not the work.
 struct Printer {
-    out: BufWriter<io::StdoutLock<'static>>,
+    out: Plain<BufWriter<io::StdoutLock<'static>>>,
     format: Format,
     colour: Colour,
     started: bool,
@@ -251,7 +252,7 @@ impl Printer {
             (false, false) => Format::Lines,
         };
         let colour = Colour::detect(io::stdout().is_terminal());
-        let out = BufWriter::new(io::stdout().lock());
+        let out = Plain(BufWriter::new(io::stdout().lock()));
         Printer { out, format, colour, started: false, listened_to: true, reference_dp_pa }
     }
 

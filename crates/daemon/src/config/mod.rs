@@ -430,8 +430,11 @@ impl Config {
 
 /// Checks that a text can be a name in topics and files.
 fn check_name(key: &str, text: &str) -> Result<(), String> {
-    if text.is_empty() || text.contains(['/', '#', '+', '\0', '"', '\\']) {
-        return Err(format!("{key} is `{text}`; names have no / # + \" \\ and are not empty"));
+    let is_special = |c: char| c.is_control() || matches!(c, '/' | '#' | '+' | '"' | '\\');
+    if text.is_empty() || text.contains(is_special) {
+        return Err(format!(
+            "{key} is `{text}`; names have no / # + \" \\, no control characters and are not empty"
+        ));
     }
     Ok(())
 }

@@ -9,6 +9,7 @@ use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
 use crate::failure::{Code, Failure};
+use crate::sink::plain;
 
 /// Begins logging: to the journal where standard error is connected to it, else to standard error.
 ///
@@ -22,7 +23,7 @@ pub fn begin(level: &str) -> Result<(), Failure> {
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
     let to_journal = journal.is_some();
     let terminal = (!to_journal).then(|| {
-        tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_target(false).with_ansi(false)
+        tracing_subscriber::fmt::layer().with_writer(plain::stderr).with_target(false).with_ansi(false)
     });
     tracing_subscriber::registry()
         .with(level)

@@ -11,6 +11,7 @@ pub mod json;
 pub mod mcap;
 #[cfg(feature = "live")]
 pub mod mqtt;
+pub mod plain;
 #[cfg(feature = "live")]
 pub mod prometheus;
 #[cfg(feature = "live")]

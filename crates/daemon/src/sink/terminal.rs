@@ -5,13 +5,14 @@ use std::path::Path;
 
 use crate::event::{CycleLine, Event, Flag, FlagEvent, Summary};
 use crate::failure::Failure;
+use crate::sink::plain;
 
 /// Writes on standard output. A reader that goes away is no failure: it has what it wanted.
 ///
 /// # Errors
 /// [`Failure`] where writing failed otherwise.
 pub fn print(text: &[u8]) -> Result<(), Failure> {
-    match io::stdout().write_all(text) {
+    match plain::stdout().write_all(text) {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
             Err(Failure::writing(Path::new("standard output"), error))
         }
@@ -37,19 +38,29 @@ impl Colour {
 
     /// The text in the colour of a flag.
     pub fn paint(self, flag: Flag, text: &str) -> String {
-        let code = match flag {
-            Flag::NoEstimate => "2",
-            Flag::Healthy => "32",
-            Flag::Watch => "33",
-            Flag::Leak => "31",
-            Flag::Severe => "1;31",
+        let colour = match flag {
+            Flag::NoEstimate => DIM,
+            Flag::Healthy => GREEN,
+            Flag::Watch => YELLOW,
+            Flag::Leak => RED,
+            Flag::Severe => BOLD_RED,
         };
         match self {
-            Colour::On => format!("\x1b[{code}m{text}\x1b[0m"),
+            Colour::On => format!("{colour}{text}{RESET}"),
             Colour::Off => text.to_owned(),
         }
     }
 }
+
+const RESET: &str = "\x1b[0m";
+const DIM: &str = "\x1b[2m";
+const GREEN: &str = "\x1b[32m";
+const YELLOW: &str = "\x1b[33m";
+const RED: &str = "\x1b[31m";
+const BOLD_RED: &str = "\x1b[1;31m";
+
+/// The escape sequences that the program itself writes.
+pub(super) const COLOURS: [&str; 6] = [RESET, DIM, GREEN, YELLOW, RED, BOLD_RED];
 
 /// Writes the columns' names.
 ///

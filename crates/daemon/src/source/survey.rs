@@ -430,7 +430,7 @@ impl LogSurvey {
     /// What stands at the top of `seepd.toml`, before the tables: where a CSV's time is.
     pub fn time_toml(&self) -> String {
         self.time.as_ref().map_or(String::new(), |time| {
-            let column = toml::Value::from(time.column.as_str());
+            let column = toml_text(&time.column);
             format!("time_column = {column}\ntime_unit = \"{}\"\n\n", time.unit.name())
         })
     }
@@ -444,14 +444,14 @@ impl LogSurvey {
         for (signal, guess) in &self.mapping {
             text += &format!("[signals.{}]  # in {}\n", signal.name(), signal.unit());
             if !guess.topic.is_empty() {
-                text += &format!("topic = {}\n", toml::Value::from(guess.topic.as_str()));
+                text += &format!("topic = {}\n", toml_text(&guess.topic));
             }
             match &guess.bits {
                 Some(bits) => {
                     text += "# A field that moves as a valve command does; no DBC file names it. Check it.\n";
                     text += &format!("bits = {}\n", bits.to_toml());
                 }
-                None => text += &format!("field = {}\n", toml::Value::from(guess.field.as_str())),
+                None => text += &format!("field = {}\n", toml_text(&guess.field)),
             }
             if guess.scale != 1.0 {
                 text += &format!("scale = {}\n", toml::Value::from(guess.scale));
@@ -460,4 +460,9 @@ impl LogSurvey {
         }
         text
     }
+}
+
+/// A text as a TOML value in one line, whatever is in it: JSON's escapes are TOML's, which has one more.
+pub(crate) fn toml_text(text: &str) -> String {
+    serde_json::Value::from(text).to_string().replace('\u{7f}', "\\u007f")
 }
