@@ -34,6 +34,11 @@ fn frugal<A: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = A>) -> 
         .unwrap()
 }
 
+/// The one JSON object that a run printed.
+fn json(output: &Output) -> Value {
+    serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{}", stderr(output)))
+}
+
 fn file(folder: &tempfile::TempDir, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
     let path = folder.path().join(name);
     fs::write(&path, content).unwrap();
@@ -447,7 +452,7 @@ fn a_footer_that_points_nowhere_costs_the_summary_alone() {
         let path = file(&folder, "footer.mcap", bytes);
         let output =
             seepd(["replay", "--json", "--topic", "/plc", "--command", "command", path.to_str().unwrap()]);
-        let summary: Value = serde_json::from_slice(&output.stdout).expect(&stderr(&output));
+        let summary: Value = json(&output);
         assert_eq!((output.status.code(), summary["samples"].as_u64()), (Some(0), Some(100)));
         assert!(
             stderr(&output).contains("1 messages of topics that it does not name"),
@@ -514,7 +519,7 @@ fn a_line_without_end_takes_no_memory() {
     let folder = tempfile::tempdir().unwrap();
     let rows = |text: &mut String| {
         for tick in 0..100 {
-            *text += &format!("{}e-3,0.5\n", tick);
+            *text += &format!("{tick}e-3,0.5\n");
         }
     };
     let mut text = String::from("t_s,command\n");
@@ -524,7 +529,7 @@ fn a_line_without_end_takes_no_memory() {
     let good = text.clone() + "0.1,0.5\n";
     let path = file(&folder, "line.csv", &good);
     let output = frugal(["replay", "--json", path.to_str().unwrap()]);
-    let summary: Value = serde_json::from_slice(&output.stdout).expect(&stderr(&output));
+    let summary: Value = json(&output);
     assert_eq!(summary["samples"], 101);
     let told = "1 rows left out; the first at line 102: the line is longer than a row can be";
     assert!(stderr(&output).contains(told), "{}", stderr(&output));
@@ -544,7 +549,7 @@ fn a_stray_quote_costs_one_row() {
     }
     let path = file(&folder, "quote.csv", text);
     let output = seepd(["replay", "--json", path.to_str().unwrap()]);
-    let summary: Value = serde_json::from_slice(&output.stdout).expect(&stderr(&output));
+    let summary: Value = json(&output);
     assert_eq!(summary["samples"], 999);
     let told = "1 rows left out; the first at line 52: a quote is opened and not closed";
     assert!(stderr(&output).contains(told), "{}", stderr(&output));
@@ -554,7 +559,7 @@ fn a_stray_quote_costs_one_row() {
 #[test]
 fn a_log_of_which_nothing_can_be_used_is_a_failure() {
     let folder = tempfile::tempdir().unwrap();
-    let json = |body: &str| log("json", ("a", "jsonschema", b""), &vec![body.as_bytes().to_vec(); 5]);
+    let of_five = |body: &str| log("json", ("a", "jsonschema", b""), &vec![body.as_bytes().to_vec(); 5]);
     let candump = "(1.000001) can0 123#00\n(1.001001) can0 123#01\n".to_owned();
     let dbc = "VERSION \"\"\nBU_:\nBO_ 291 M: 8 X\n SG_ command : 0|16@1- (1,0) [0|0] \"\" X\n";
     let dbc = file(&folder, "a.dbc", dbc);
@@ -566,13 +571,13 @@ fn a_log_of_which_nothing_can_be_used_is_a_failure() {
             "none of its 2 rows can be used; the first at line 2: `fast`",
         ),
         ("empty.csv", b"t_s,command\n1,\n2,\n".to_vec(), "none of its 2 commands is a number"),
-        ("null.mcap", json("{\"command\":null}"), "none of its 5 commands is a number"),
+        ("null.mcap", of_five("{\"command\":null}"), "none of its 5 commands is a number"),
         (
             "words.mcap",
-            json("{\"command\":\"fast\"}"),
+            of_five("{\"command\":\"fast\"}"),
             "5 messages left out as unreadable, the first at 0 ns: `fast` is not a number",
         ),
-        ("without.mcap", json("{\"x\":1}"), "5 messages left out that hold no command, the first at 0 ns"),
+        ("without.mcap", of_five("{\"x\":1}"), "5 messages left out that hold no command, the first at 0 ns"),
         ("short.log", candump.into_bytes(), "2 of them too short for the mapped signals"),
     ] {
         let path = file(&folder, name, content);
@@ -664,7 +669,7 @@ fn a_message_of_20_000_signals_is_inspected_by_its_first() {
         .collect();
     let path = file(&folder, "candump.log", frames);
     let output = seepd(["inspect", "--json", "--dbc", dbc.to_str().unwrap(), path.to_str().unwrap()]);
-    let found: Value = serde_json::from_slice(&output.stdout).expect(&stderr(&output));
+    let found: Value = json(&output);
     let topic = &found["topics"][0];
     assert_eq!(
         (topic["messages"].as_u64(), topic["fields"].as_array().map(Vec::len)),
@@ -736,4 +741,66 @@ fn a_fifo_without_a_writer_holds_up_its_axis_alone() {
     daemon::until("the other axis reads", long, || samples("reading") == Some(10_000));
     assert_eq!(samples("waiting"), Some(0));
     assert_eq!(running.terminate().0.code(), Some(0));
+}
+
+/// Small relatives of what is above, from which `fuzz/run` sets out.
+fn fuzz_seeds() -> Vec<(&'static str, Vec<u8>)> {
+    let with_schema = |which: u8, schema: &[u8], message: &[u8]| {
+        [vec![which], (schema.len() as u16).to_le_bytes().to_vec(), schema.to_vec(), message.to_vec()]
+            .concat()
+    };
+    let recursive = descriptor_set(
+        "proto3",
+        &[message(
+            "Axis",
+            &[
+                field("inner", 1, SINGLE, MESSAGE, ".p.Axis", b""),
+                field("command", 2, SINGLE, DOUBLE, "", b""),
+                field("many", 3, REPEATED, INT32, "", b""),
+            ],
+        )],
+    );
+    let empty =
+        b"Row[200] rows\nfloat64 command\n===\nMSG: p/Row\nEmpty[200] cells\n===\nMSG: p/Empty\n# nothing\n";
+    let records =
+        [channel_record(1, 0, "/a/signals", "json"), message_record(1, 0, b"{\"command\":0.5}")].concat();
+    let footer = [
+        MAGIC.to_vec(),
+        records.clone(),
+        message_record(9, 0, b"{}"),
+        record(15, &[0; 4]),
+        record(2, &[&u64::to_le_bytes(u64::MAX - 4)[..], &[0; 12]].concat()),
+        MAGIC.to_vec(),
+    ];
+    let mut mux = String::from("VERSION \"\"\nBU_:\nBO_ 291 M: 8 X\n SG_ S0 M : 0|8@1+ (1,0) [0|0] \"\" X\n");
+    for number in 1..20 {
+        mux += &format!(" SG_ S{number} m{number}M : {number}|8@1+ (1,0) [0|0] \"\" X\n");
+    }
+    vec![
+        ("messages/seed-protobuf-recursive", with_schema(2, &recursive, &bytes_field(1, &double(2, 0.5)))),
+        ("messages/seed-protobuf-groups", with_schema(2, &recursive, &[[11; 40], [12; 40]].concat())),
+        ("messages/seed-protobuf-packed", with_schema(2, &recursive, &bytes_field(3, &[7; 500]))),
+        ("messages/seed-ros-empty", with_schema(1, empty, &[vec![0, 1, 0, 0], vec![0; 400]].concat())),
+        ("messages/seed-json-deep", format!("\u{3}{}1{}", "[".repeat(1000), "]".repeat(1000)).into_bytes()),
+        ("mcap_log/seed-chunk-without-crc", [MAGIC, &zstd_chunk(&records, 0)].concat()),
+        ("mcap_log/seed-chunk", [MAGIC, &zstd_chunk(&records, crc32fast::hash(&records))].concat()),
+        ("mcap_log/seed-footer-nowhere", footer.concat()),
+        ("csv_log/seed-stray-quote", b"t_s;\"command\"\n0;\"1\n1;\"0.5\"\n2;\"0\"\"5\"\n".to_vec()),
+        ("dbc/seed-multiplexers", mux.into_bytes()),
+    ]
+}
+
+/// `SEEPD_WRITE_SEEDS=1` writes them anew.
+#[test]
+fn the_fuzz_corpus_has_each_seed() {
+    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/corpus");
+    for (name, bytes) in fuzz_seeds() {
+        let path = corpus.join(name);
+        if std::env::var_os("SEEPD_WRITE_SEEDS").is_some() {
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(&path, &bytes).unwrap();
+        }
+        assert!(bytes.len() < 4096, "{name} has {} bytes", bytes.len());
+        assert!(fs::read(&path).ok().as_ref() == Some(&bytes), "{name} is another");
+    }
 }
