@@ -126,7 +126,7 @@ pub fn cannot_tell(reason: String) -> Diagnosis {
 struct Weighed<A> {
     retuned: Fit<A>,
     candidates: Vec<Candidate>,
-    /// Most likely first.
+    /// The one that is named, then the others, most likely first.
     explanations: Vec<(Explanation<A>, f64)>,
     unknown: f64,
     none: f64,
@@ -222,7 +222,7 @@ impl<A: Axis> Weighed<A> {
         };
         let alike = self.explanations.iter().enumerate().filter(|(_, other)| close(other));
         if let Some((index, _)) = alike.min_by_key(|(_, (explanation, _))| place(explanation)) {
-            self.explanations.swap(0, index);
+            to_front(&mut self.explanations, index);
         }
     }
 
@@ -435,6 +435,13 @@ impl<A: Axis> Telling<'_, A> {
     }
 }
 
+/// Moves the one at an index to the front; the others keep their order.
+fn to_front<T>(list: &mut [T], index: usize) {
+    if let Some(head) = list.get_mut(..=index) {
+        head.rotate_right(1);
+    }
+}
+
 /// What wear has come to; NaN on an axis without.
 fn leak<A: Axis>(spec: &A) -> f64 {
     spec.wear().map_or(f64::NAN, |tunable| spec.parameter(tunable.key))
@@ -473,4 +480,20 @@ fn distinguish<A: Axis>(
         told.push(format!("with this duty cycle and these signals nothing shows of: {}", unseen.join(", ")));
     }
     told
+}
+
+#[cfg(test)]
+mod tests {
+    use super::to_front;
+
+    #[test]
+    fn what_is_preferred_leaves_the_others_most_likely_first() {
+        let mut shares = [0.4, 0.3, 0.2, 0.1];
+        to_front(&mut shares, 2);
+        assert_eq!(shares, [0.2, 0.4, 0.3, 0.1]);
+        to_front(&mut shares, 0);
+        assert_eq!(shares, [0.2, 0.4, 0.3, 0.1]);
+        to_front(&mut shares, 4);
+        assert_eq!(shares, [0.2, 0.4, 0.3, 0.1]);
+    }
 }

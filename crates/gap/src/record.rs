@@ -6,6 +6,8 @@ use seepd_sim::cycle::Instant;
 use crate::axis::Axis;
 use crate::simulate::bins_of;
 
+/// RMS difference from the median cycle, over the signal's range, above which a cycle is of another kind.
+const ANOTHER_KIND: f64 = 0.1;
 /// Bins of a cycle in which signals are compared: 20 ms of the default duty cycle.
 pub const BINS: usize = 500;
 /// Fewest cycles with which a diagnosis is made at all, and with which it needs no warning.
@@ -211,7 +213,7 @@ fn span(values: &[f64]) -> (f64, f64) {
     (finite().fold(f64::INFINITY, f64::min), finite().fold(f64::NEG_INFINITY, f64::max))
 }
 
-/// Cycles whose command or position is unlike the median cycle's by more than a fifth of its range, RMS.
+/// Cycles whose command or position is unlike the median cycle's by more than [`ANOTHER_KIND`].
 fn of_another_kind(cycles: &[Cycle], range: &[f64]) -> Vec<usize> {
     let median = |signal: usize| -> Vec<f64> {
         (0..BINS)
@@ -226,7 +228,7 @@ fn of_another_kind(cycles: &[Cycle], range: &[f64]) -> Vec<usize> {
     let unlike = |cycle: &Cycle| {
         medians.iter().enumerate().any(|(signal, median)| {
             let square: f64 = cycle.bins[signal].iter().zip(median).map(|(a, b)| (a - b).powi(2)).sum();
-            (square / BINS as f64).sqrt() > 0.1 * range[signal]
+            (square / BINS as f64).sqrt() > ANOTHER_KIND * range[signal]
         })
     };
     (0..cycles.len()).filter(|index| unlike(&cycles[*index])).collect()
