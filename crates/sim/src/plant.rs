@@ -15,12 +15,14 @@
 //! With the default supply the relief valve never closes, so the pump's flow and the relief valve's two
 //! parameters act as one number.
 
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Schur};
 use serde::{Deserialize, Serialize};
 
 use crate::effects::{Law, Moment, Openings, Softening, Terms};
 use crate::real::Real;
 
+/// Iterations within which the eigenvalues of six states are found: some dozen are usual.
+const MOST_ITERATIONS: usize = 10_000;
 /// RK4 is stable on the negative real axis up to this product of step and eigenvalue (Hairer & Wanner,
 /// Solving Ordinary Differential Equations II, section IV.2).
 pub const RK4_STABILITY_LIMIT: f64 = 2.78;
@@ -446,7 +448,7 @@ impl Plant<f64> {
     }
 
     /// Magnitude of the fastest eigenvalue of the plant linearised at standstill with the valve closed and
-    /// no flow (every pressure the return's), 1/s.
+    /// no flow (every pressure the return's), 1/s; infinite where the plant's numbers overflow.
     fn standstill_eigenvalue_per_s(&self, x: f64) -> f64 {
         let none = ActingLaws { laws: &[], memory: &[] };
         let at = State { p_s: self.p_r, p_3: self.p_r, p_1: self.p_r, p_2: self.p_r, x, v: 0.0 }.to_array();
@@ -462,6 +464,11 @@ impl Plant<f64> {
             };
             (rate(1.0) - rate(-1.0)) / (2.0 * step[column])
         });
-        jacobian.complex_eigenvalues().iter().map(|value| value.norm()).fold(0.0, f64::max)
+        // The iteration has no end of its own where numbers overflow.
+        let schur = Some(jacobian).filter(|jacobian| jacobian.iter().all(|rate| rate.is_finite()));
+        let schur = schur.and_then(|jacobian| Schur::try_new(jacobian, f64::EPSILON, MOST_ITERATIONS));
+        schur.map_or(f64::INFINITY, |schur| {
+            schur.complex_eigenvalues().iter().map(|value| value.norm()).fold(0.0, f64::max)
+        })
     }
 }

@@ -11,6 +11,8 @@ use crate::effects::{self, Constants, Effect};
 use crate::plant::{Plant, PlantParameters, RK4_STABILITY_LIMIT};
 use crate::real::Real;
 
+/// A plant that asks for more steps in a period has a number that is decades off.
+const ABSURD_STEPS: usize = 1_000_000;
 /// Most steps in a period that are taken unasked.
 const MOST_STEPS: usize = 100;
 
@@ -38,7 +40,7 @@ pub enum SpecError {
     #[error(transparent)]
     Format(#[from] FormatError),
     /// A value outside of what it may be.
-    #[error("{}`{key}` is {value}; {expected}", at_line(*.line))]
+    #[error("{}`{key}` is {}; {expected}", at_line(*.line), readable(*.value))]
     Value {
         /// Line in the file, from 1, where it could be found.
         line: Option<usize>,
@@ -288,6 +290,24 @@ impl MachineSpec {
         Ok(())
     }
 
+    /// The complaint of a plant that no step is short enough for: a number is decades off, most likely the one that is furthest from the
+    /// nominal plant's.
+    fn furthest_from_nominal(&self) -> SpecError {
+        let nominal = PlantParameters::default();
+        let decades_off = |key: &str| match (self.plant.get(key), nominal.get(key)) {
+            (Some(value), Some(usual)) if value > 0.0 && usual > 0.0 => (value / usual).log10().abs(),
+            _ => 0.0,
+        };
+        let key = PlantParameters::ALL
+            .iter()
+            .map(|info| info.key)
+            .max_by(|a, b| decades_off(a).total_cmp(&decades_off(b)))
+            .unwrap_or_default();
+        let usual = nominal.get(key).unwrap_or(f64::NAN);
+        let expected = format!("no step is short enough for such a plant; the nominal press has {usual}");
+        value_error(format!("plant.{key}"), self.plant.get(key).unwrap_or(f64::NAN), expected)
+    }
+
     fn check_stability(&self) -> Result<(), SpecError> {
         let eigenvalue_per_s = self.fastest_eigenvalue_per_s();
         let steps = self.controller.steps_per_period;
@@ -296,6 +316,9 @@ impl MachineSpec {
             return Ok(());
         }
         let needed = self.steps_for(eigenvalue_per_s);
+        if needed > ABSURD_STEPS {
+            return Err(self.furthest_from_nominal());
+        }
         Err(SpecError::UnstableStep { eigenvalue_per_s, steps, product, needed })
     }
 }
@@ -312,6 +335,11 @@ impl SpecError {
         }
         self
     }
+}
+
+/// A number without a row of noughts.
+fn readable(value: f64) -> String {
+    if value == 0.0 || (1e-4..1e9).contains(&value.abs()) { value.to_string() } else { format!("{value:e}") }
 }
 
 fn value_error(key: String, value: f64, expected: String) -> SpecError {

@@ -61,3 +61,23 @@ fn unstable_step_is_refused_with_the_steps_that_it_needs() {
     let text = format!("[plant]\ninlet_volume_m3 = 1e-4\n[controller]\nsteps_per_period = {needed}\n");
     assert!(MachineSpec::from_toml(&text).is_ok());
 }
+
+/// Numbers that overflow are answered, and soon: the search for eigenvalues ends.
+#[test]
+fn numbers_many_decades_off_are_answered_with_their_key() {
+    let told = refusal("[plant]\npump_flow_m3_per_s = 1e300\n");
+    assert!(told.contains("line 2") && told.contains("`plant.pump_flow_m3_per_s` is 1e300"), "{told}");
+    assert!(told.contains("no step is short enough"), "{told}");
+    for info in seepd_sim::PlantParameters::ALL {
+        for value in [1e300, 1e-300, f64::MAX, f64::MIN_POSITIVE] {
+            let text = format!("[plant]\n{} = {value:e}\n", info.key);
+            if let Err(error) = MachineSpec::from_toml(&text) {
+                let told = error.to_string();
+                assert!(
+                    told.contains(info.key) || told.contains("steps_per_period") || told.contains("cycle."),
+                    "{told}"
+                );
+            }
+        }
+    }
+}
