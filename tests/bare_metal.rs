@@ -9,7 +9,7 @@ use std::fmt::Write;
 use std::path::Path;
 use std::process::Command;
 
-use seepd_features::{CycleState, Outcome};
+use seepd_features::Outcome;
 use seepd_model::Model;
 use seepd_signals::Sample;
 use seepd_sim::cycle::Turn;
@@ -34,8 +34,8 @@ fn cycle() -> Vec<f32> {
 fn expected(cycle: &[f32]) -> String {
     let model = Model::from_json(seepd::EMBEDDED_MODEL).unwrap();
     let projections = model.projections();
-    let reader = model.reader(&projections);
-    let mut state = CycleState::new(vec![0.0f32; reader.definition().ring_samples()]);
+    let reader = model.reader(&projections).unwrap();
+    let mut state = reader.start(vec![0.0f32; reader.definition().ring_samples()]).unwrap();
     let mut text = String::new();
     let mut tell = |outcome: Outcome<'_>| match outcome {
         Outcome::Valid(cycle) => {

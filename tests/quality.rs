@@ -129,7 +129,7 @@ fn watch(model: &Model, jobs: &[Job], batch: u64) -> Vec<u64> {
         operating_hours_per_year: 8760.0,
     };
     let mut lanes: Vec<(Pipeline<'_>, Noise, i64, u64)> = (0..LANES as u64)
-        .map(|lane| (Pipeline::new(config), Noise::new(78, batch * 8 + lane), 0, 0))
+        .map(|lane| (Pipeline::new(config).unwrap(), Noise::new(78, batch * 8 + lane), 0, 0))
         .collect();
     run_lanes(jobs, |lane, record| {
         let (pipeline, noise, time_ns, cycles) = &mut lanes[lane];

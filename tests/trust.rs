@@ -93,7 +93,7 @@ fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool
             let mut lanes: Vec<(Pipeline<'_>, Noise, i64, Course)> = machines
                 .iter()
                 .map(|(number, day, baseline)| {
-                    let mut pipeline = Pipeline::new(config);
+                    let mut pipeline = Pipeline::new(config).unwrap();
                     match baseline {
                         Some(baseline) => pipeline.monitors_mut()[0].follow(baseline.clone()),
                         None => pipeline.learn("test", BASELINE_CYCLES),

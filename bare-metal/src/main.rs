@@ -12,7 +12,7 @@ use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
 use embedded_alloc::LlffHeap;
 use panic_semihosting as _;
-use seepd_features::{CycleState, Outcome};
+use seepd_features::Outcome;
 use seepd_model::Model;
 use seepd_signals::Sample;
 
@@ -43,8 +43,10 @@ fn main() -> ! {
 
 fn read_cycle(model: &Model) {
     let projections = model.projections();
-    let reader = model.reader(&projections);
-    let mut state = CycleState::new(alloc::vec![0.0f32; reader.definition().ring_samples()]);
+    let Ok(reader) = model.reader(&projections) else { return hprintln!("no reader") };
+    let Ok(mut state) = reader.start(alloc::vec![0.0f32; reader.definition().ring_samples()]) else {
+        return hprintln!("no state");
+    };
     let mut tell = |outcome: Outcome<'_>| match outcome {
         Outcome::Valid(cycle) => {
             for value in cycle.features {

@@ -2,7 +2,6 @@
 #![no_main]
 use std::sync::LazyLock;
 
-use seepd_features::CycleState;
 use seepd_model::Model;
 use seepd_signals::Sample;
 
@@ -10,8 +9,8 @@ static MODEL: LazyLock<Model> = LazyLock::new(|| Model::from_json(seepd::EMBEDDE
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     let projections = MODEL.projections();
-    let reader = MODEL.reader(&projections);
-    let mut state = CycleState::new(vec![0.0f32; reader.definition().ring_samples()]);
+    let reader = MODEL.reader(&projections).expect("the embedded model");
+    let mut state = reader.start(vec![0.0f32; reader.definition().ring_samples()]).expect("memory for a cycle");
     let mut time_ns = 0i64;
     for pair in data.chunks_exact(16) {
         let number = |at: usize| <[u8; 8]>::try_from(&pair[at..at + 8]).expect("eight bytes");

@@ -43,7 +43,7 @@ fn replay(bencher: divan::Bencher<'_, '_>, command_only: bool) {
     bencher.counter(ItemsCount::new(200_000usize)).bench_local(|| {
         let mut source =
             McapSource::new(Cursor::new(&bytes[..]), "log", Config::default().mapping()).expect("a log");
-        let mut pipeline = Pipeline::new(config);
+        let mut pipeline = Pipeline::new(config).expect("the embedded model");
         let mut cycles = 0;
         while let Some(sample) = source.next_sample().expect("samples") {
             pipeline.push(&sample, &mut |_| cycles += 1);

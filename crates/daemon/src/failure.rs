@@ -4,6 +4,8 @@ use std::fmt;
 use std::io;
 use std::path::Path;
 
+use seepd_features::ReaderError;
+
 /// Exit codes: an interface, after sysexits.h.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
@@ -58,6 +60,13 @@ impl Failure {
     /// A configuration file that is wrong.
     pub fn configuration(path: &Path, error: impl fmt::Display) -> Self {
         Failure::new(Code::Configuration, format!("{}: {error}", path.display()))
+    }
+}
+
+impl From<ReaderError> for Failure {
+    /// A model's own check rules it out.
+    fn from(error: ReaderError) -> Self {
+        Failure::new(Code::Internal, error.to_string())
     }
 }
 

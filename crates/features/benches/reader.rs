@@ -1,7 +1,6 @@
 //! Cost of a sample: intake checks, filter, segmentation and all features of the embedded model.
 
 use divan::counter::ItemsCount;
-use seepd_features::CycleState;
 use seepd_model::Model;
 use seepd_signals::Sample;
 use seepd_sim::cycle::Turn;
@@ -17,7 +16,7 @@ fn filter_and_all_features(bencher: divan::Bencher<'_, '_>) {
     let model =
         Model::from_json(include_bytes!("../../daemon/assets/model.json")).expect("the embedded model");
     let projections = model.projections();
-    let reader = model.reader(&projections);
+    let reader = model.reader(&projections).expect("the embedded model");
     let spec = MachineSpec::default();
     let machine = Machine::<f64>::new(&[&spec]);
     let mut plant = machine.start();
@@ -31,7 +30,8 @@ fn filter_and_all_features(bencher: divan::Bencher<'_, '_>) {
         })
         .collect();
     bencher.counter(ItemsCount::new(samples.len())).bench_local(|| {
-        let mut state = CycleState::new(vec![0.0f32; reader.definition().ring_samples()]);
+        let mut state =
+            reader.start(vec![0.0f32; reader.definition().ring_samples()]).expect("memory for a cycle");
         let mut cycles = 0;
         for sample in &samples {
             reader.push(&mut state, sample, &mut |_| cycles += 1);

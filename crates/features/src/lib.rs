@@ -24,5 +24,5 @@ pub use intake::Counts;
 pub use kalman::{Kalman, KalmanState};
 pub use load::{LoadSummary, PistonAreas};
 pub use moments::Moments;
-pub use reader::{CycleReader, CycleState, Outcome, Reason, RejectedCycle, ValidCycle};
+pub use reader::{CycleReader, CycleState, Outcome, ReaderError, Reason, RejectedCycle, ValidCycle};
 pub use segment::{Anchor, CycleDefinition, DemandMark, Phase, PhaseKind, Projection};

@@ -1,5 +1,7 @@
 //! From samples to cycles with features.
 
+use core::fmt;
+
 use seepd_signals::{Sample, Signal};
 
 use crate::feature::Feature;
@@ -7,7 +9,9 @@ use crate::intake::{Counts, IntakeState, Verdict};
 use crate::kalman::{Kalman, KalmanState};
 use crate::load::{LoadState, PistonAreas};
 use crate::noise::NoiseState;
-use crate::segment::{CycleDefinition, Finding, Orphan, SegmentState, Span};
+use crate::segment::{
+    CycleDefinition, Finding, MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS, Orphan, SegmentState, Span,
+};
 use crate::statistics::{CycleStatistics, RingView};
 
 /// Why a cycle is not used.
@@ -46,6 +50,43 @@ impl Reason {
         }
     }
 }
+
+/// Why cycles cannot be read so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ReaderError {
+    /// The definition has more of something than the reader has room for.
+    TooMany {
+        /// What: `features`, `phases`, `bins of a template` or `bins of a cycle`.
+        what: &'static str,
+        /// How many there are.
+        given: usize,
+        /// How many there may be.
+        most: usize,
+    },
+    /// The memory does not hold a cycle: its features would be those of another stretch of the command.
+    RingTooShort {
+        /// Samples that it holds.
+        given: usize,
+        /// Samples that it must hold, [`CycleDefinition::ring_samples`].
+        needed: usize,
+    },
+}
+
+impl fmt::Display for ReaderError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            ReaderError::TooMany { what, given, most } => {
+                write!(f, "{given} {what}; at most {most} are read")
+            }
+            ReaderError::RingTooShort { given, needed } => {
+                write!(f, "a memory of {given} samples does not hold a cycle, which takes {needed}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for ReaderError {}
 
 /// A cycle with its features.
 #[derive(Debug, Clone, Copy)]
@@ -105,7 +146,7 @@ const STUCK_SHARE: f64 = 0.04;
 const REMEMBERED_RUNS: usize = 8;
 
 /// Everything that reading remembers; `B` is the memory for a cycle's samples, at least
-/// [`CycleDefinition::ring_samples`] long.
+/// [`CycleDefinition::ring_samples`] long. It comes from [`CycleReader::start`].
 #[derive(Debug, Clone)]
 pub struct CycleState<B> {
     counts: Counts,
@@ -189,8 +230,7 @@ struct StartMarks {
 }
 
 impl<B: AsRef<[f32]> + AsMut<[f32]>> CycleState<B> {
-    /// Begins with an empty memory.
-    pub fn new(ring: B) -> Self {
+    fn new(ring: B) -> Self {
         CycleState {
             counts: Counts::default(),
             intake: IntakeState::default(),
@@ -242,16 +282,46 @@ impl<B: AsRef<[f32]> + AsMut<[f32]>> CycleState<B> {
 
 impl<'m> CycleReader<'m> {
     /// A reader with that filter (`None` takes the command as it is) for that duty cycle, giving those features in
-    /// that order, at most [`MAX_FEATURES`].
-    pub fn new(filter: Option<Kalman>, definition: CycleDefinition<'m>, features: &'m [Feature]) -> Self {
-        CycleReader {
+    /// that order.
+    ///
+    /// # Errors
+    /// [`ReaderError::TooMany`] features, phases or bins.
+    pub fn new(
+        filter: Option<Kalman>,
+        definition: CycleDefinition<'m>,
+        features: &'m [Feature],
+    ) -> Result<Self, ReaderError> {
+        let [first, last] = &definition.anchors;
+        for (what, given, most) in [
+            ("features", features.len(), MAX_FEATURES),
+            ("phases", definition.phases.len(), MAX_PHASES),
+            ("bins of a template", first.template.len().max(last.template.len()), MAX_TEMPLATE_BINS),
+            ("bins of a cycle", definition.cycle_bins(), MAX_CYCLE_BINS),
+        ] {
+            if given > most {
+                return Err(ReaderError::TooMany { what, given, most });
+            }
+        }
+        Ok(CycleReader {
             filter,
             definition,
             features,
             period_ns: 1e9 / definition.sample_rate_hz,
             stuck_samples: (STUCK_SHARE * definition.period_s * definition.sample_rate_hz) as i64,
             areas: None,
+        })
+    }
+
+    /// The beginning, with an empty memory: at least [`CycleDefinition::ring_samples`] samples.
+    ///
+    /// # Errors
+    /// [`ReaderError::RingTooShort`].
+    pub fn start<B: AsRef<[f32]> + AsMut<[f32]>>(&self, ring: B) -> Result<CycleState<B>, ReaderError> {
+        let (given, needed) = (ring.as_ref().len(), self.definition.ring_samples());
+        if given < needed {
+            return Err(ReaderError::RingTooShort { given, needed });
         }
+        Ok(CycleState::new(ring))
     }
 
     /// The same, which takes the load from the chambers' pressures where the samples have no load.

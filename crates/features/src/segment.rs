@@ -108,7 +108,7 @@ impl CycleDefinition<'_> {
 
     /// Bins of a whole cycle.
     pub fn cycle_bins(&self) -> usize {
-        self.cycle_samples().checked_div(self.bin_samples).unwrap_or(0).min(MAX_CYCLE_BINS)
+        self.cycle_samples().checked_div(self.bin_samples).unwrap_or(0)
     }
 
     /// Time from the last stroke's anchor to the cycle's end as planned, s.

@@ -137,7 +137,7 @@ impl CycleStatistics {
             noise: 0.0,
             load: None,
             bins: [0.0; MAX_CYCLE_BINS],
-            bin_count: definition.cycle_bins(),
+            bin_count: definition.cycle_bins().min(MAX_CYCLE_BINS),
         };
         statistics.fill_phases(&timeline, ring);
         statistics.fill_strokes(&timeline, ring);

@@ -5,7 +5,7 @@
 use std::sync::LazyLock;
 
 use proptest::prelude::*;
-use seepd_features::{CycleState, Outcome};
+use seepd_features::{CycleDefinition, CycleReader, Feature, Outcome, ReaderError};
 use seepd_model::Model;
 use seepd_signals::{Sample, Signal};
 use seepd_sim::cycle::Turn;
@@ -59,8 +59,8 @@ fn note(found: &mut Vec<Found>, outcome: &Outcome<'_>) {
 
 fn read(samples: &[Sample]) -> Vec<Found> {
     let projections = MODEL.projections();
-    let reader = MODEL.reader(&projections);
-    let mut state = CycleState::new(vec![0.0f32; reader.definition().ring_samples()]);
+    let reader = MODEL.reader(&projections).unwrap();
+    let mut state = reader.start(vec![0.0f32; reader.definition().ring_samples()]).unwrap();
     let mut found = Vec::new();
     for sample in samples {
         reader.push(&mut state, sample, &mut |outcome| note(&mut found, &outcome));
@@ -148,9 +148,9 @@ fn every_leak_and_noise_is_segmented() {
 #[test]
 fn property_streaming_equals_offline_bit_for_bit() {
     let projections = MODEL.projections();
-    let reader = MODEL.reader(&projections);
+    let reader = MODEL.reader(&projections).unwrap();
     let mut found = Vec::new();
-    let mut state = CycleState::new(vec![0.0f32; reader.definition().ring_samples()]);
+    let mut state = reader.start(vec![0.0f32; reader.definition().ring_samples()]).unwrap();
     for portion in LEAKY.chunks(997) {
         let mut resumed = state.clone();
         for sample in portion {
@@ -161,7 +161,7 @@ fn property_streaming_equals_offline_bit_for_bit() {
     reader.finish(&mut state, &mut |outcome| note(&mut found, &outcome));
     assert_eq!(found, read(&LEAKY));
     // A larger memory changes no bit either.
-    let mut state = CycleState::new(vec![0.0f32; 4 * reader.definition().ring_samples() + 17]);
+    let mut state = reader.start(vec![0.0f32; 4 * reader.definition().ring_samples() + 17]).unwrap();
     let mut again = Vec::new();
     for sample in LEAKY.iter() {
         reader.push(&mut state, sample, &mut |outcome| note(&mut again, &outcome));
@@ -291,9 +291,9 @@ fn clock_set_back_loses_one_cycle() {
 #[test]
 fn another_rate_gives_no_cycle_and_tells_the_rate() {
     let projections = MODEL.projections();
-    let reader = MODEL.reader(&projections);
+    let reader = MODEL.reader(&projections).unwrap();
     for (factor, rate) in [(2, 500.0), (10, 100.0)] {
-        let mut state = CycleState::new(vec![0.0f32; reader.definition().ring_samples()]);
+        let mut state = reader.start(vec![0.0f32; reader.definition().ring_samples()]).unwrap();
         let mut valid = 0;
         for sample in LEAKY.iter().step_by(factor) {
             reader.push(&mut state, sample, &mut |outcome| {
@@ -338,8 +338,8 @@ proptest! {
         steps in prop::collection::vec((0i64..3_000_000, -2.0f64..2.0), 0..3000),
     ) {
         let projections = MODEL.projections();
-        let reader = MODEL.reader(&projections);
-        let mut state = CycleState::new(vec![0.0f32; reader.definition().ring_samples()]);
+        let reader = MODEL.reader(&projections).unwrap();
+        let mut state = reader.start(vec![0.0f32; reader.definition().ring_samples()]).unwrap();
         let mut sink = |outcome: Outcome<'_>| {
             if let Outcome::Valid(cycle) = outcome {
                 assert!(cycle.features.iter().all(|value| value.is_finite()));
@@ -356,16 +356,48 @@ proptest! {
         reader.finish(&mut state, &mut sink);
     }
 
-    /// A memory that is too small for a cycle gives no cycle and no panic.
+    /// A memory that is too small for a cycle is refused, and one that is just large enough gives what any larger one does.
     #[test]
-    fn property_any_memory_is_survived(length in 0usize..12_000) {
+    fn property_any_memory_is_refused_or_right(length in 0usize..40_000) {
         let projections = MODEL.projections();
-        let reader = MODEL.reader(&projections);
-        let mut state = CycleState::new(vec![0.0f32; length]);
-        for sample in &LEAKY[..12_000] {
-            reader.push(&mut state, sample, &mut |_| ());
+        let reader = MODEL.reader(&projections).unwrap();
+        let needed = reader.definition().ring_samples();
+        let started = reader.start(vec![0.0f32; length]);
+        if length < needed {
+            prop_assert_eq!(started.err(), Some(ReaderError::RingTooShort { given: length, needed }));
+        } else {
+            let mut found = Vec::new();
+            let mut state = started.unwrap();
+            for sample in &LEAKY[..25_000] {
+                reader.push(&mut state, sample, &mut |outcome| note(&mut found, &outcome));
+            }
+            prop_assert_eq!(&found[..], &read(&LEAKY)[..found.len()]);
+            prop_assert_eq!(found.len(), 2);
         }
     }
+}
+
+/// What the reader has no room for is refused by name, not dropped.
+#[test]
+fn a_definition_that_is_too_large_is_refused() {
+    let projections = MODEL.projections();
+    let reader = MODEL.reader(&projections).unwrap();
+    let definition = *reader.definition();
+    let new = |definition, features: &[Feature]| CycleReader::new(None, definition, features).err();
+    let features = [Feature::from_name("mean", [].into_iter(), [].into_iter()).unwrap(); 65];
+    let too_many = |what, given, most| Some(ReaderError::TooMany { what, given, most });
+    assert_eq!(new(definition, &features[..64]), None);
+    assert_eq!(new(definition, &features), too_many("features", 65, 64));
+    let phases = [definition.phases[0]; 17];
+    assert_eq!(new(CycleDefinition { phases: &phases, ..definition }, &[]), too_many("phases", 17, 16));
+    let template = [0.1f32; 129];
+    let mut anchors = definition.anchors;
+    anchors[1].template = &template;
+    assert_eq!(new(CycleDefinition { anchors, ..definition }, &[]), too_many("bins of a template", 129, 128));
+    assert_eq!(
+        new(CycleDefinition { bin_samples: 10, ..definition }, &[]),
+        too_many("bins of a cycle", 1000, 512)
+    );
 }
 
 /// Leak × stretch × pause × knocks: each whole cycle is found once, where it began, and nothing else is. Stretches stay within 8 %:

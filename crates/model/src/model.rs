@@ -4,7 +4,7 @@ use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
 
-use seepd_features::{CycleReader, Feature, Kalman, Phase, PistonAreas, Projection};
+use seepd_features::{CycleReader, Feature, Kalman, Phase, PistonAreas, Projection, ReaderError};
 
 use crate::attribution::Attribution;
 use crate::check::{self, ModelError};
@@ -137,13 +137,17 @@ impl Model {
     }
 
     /// The configuration that reads cycles for this model; `projections` from [`Model::projections`].
-    pub fn reader<'m>(&'m self, projections: &'m [Projection<'m>]) -> CycleReader<'m> {
+    ///
+    /// # Errors
+    /// [`ReaderError`] where the reader has no room for the model's features, phases or bins, which the model's own check rules out.
+    pub fn reader<'m>(&'m self, projections: &'m [Projection<'m>]) -> Result<CycleReader<'m>, ReaderError> {
         let definition = self.file.cycle.definition(self.file.sample_rate_hz, &self.phases, projections);
         let areas = self.relative.as_ref().map(|relative| {
             let [cap_m2, annulus_m2] = relative.file().piston_areas_m2;
             PistonAreas { cap_m2, annulus_m2 }
         });
-        CycleReader::new(self.filter(), definition, &self.features).with_piston_areas(areas)
+        let reader = CycleReader::new(self.filter(), definition, &self.features)?;
+        Ok(reader.with_piston_areas(areas))
     }
 
     fn filter(&self) -> Option<Kalman> {

@@ -1,7 +1,7 @@
 //! Simulated machines and their cycles, read with the monitor's own code.
 
 use seepd_features::statistics::CycleStatistics;
-use seepd_features::{CycleDefinition, CycleReader, CycleState, Kalman, Outcome, Phase, Projection};
+use seepd_features::{CycleDefinition, CycleReader, Kalman, Outcome, Phase, Projection};
 use seepd_model::schema::Cycle;
 use seepd_signals::Sample;
 use seepd_sim::batch::{self, Job};
@@ -170,7 +170,7 @@ impl<'m> Reading<'m> {
     }
 
     /// The statistics of the one cycle in a recorded command with measurement noise added, `sigma` times that of
-    /// [`unit_noise`]; `None` where the monitor's own segmentation does not find it.
+    /// [`unit_noise`]; `None` where the monitor's own segmentation does not find it, or has no room for its phases and bins.
     pub fn read(
         &self,
         commands: &[f64],
@@ -179,8 +179,8 @@ impl<'m> Reading<'m> {
         unit_noise: &[f64],
     ) -> Option<CycleStatistics> {
         let definition = self.definition();
-        let reader = CycleReader::new(filter, definition, &[]);
-        let mut state = CycleState::new(vec![0.0f32; definition.ring_samples()]);
+        let reader = CycleReader::new(filter, definition, &[]).ok()?;
+        let mut state = reader.start(vec![0.0f32; definition.ring_samples()]).ok()?;
         let mut found = None;
         let mut keep = |outcome: Outcome<'_>| {
             if let Outcome::Valid(cycle) = outcome {

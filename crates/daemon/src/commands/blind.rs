@@ -193,7 +193,7 @@ fn plant(arguments: &PlantArguments) -> Result<Outcome, Failure> {
         let out = in_own_folder(&arguments.logs.join(format!("{}.mcap", case.name)))?;
         write_case(&out, case, arguments.cycles.into())?;
         bar.inc(1);
-        Ok(())
+        Ok::<(), Failure>(())
     })?;
     bar.finish_and_clear();
     let task = Task { without: cases.iter().map(|c| (c.name.clone(), c.without.clone())).collect() };

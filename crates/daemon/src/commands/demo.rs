@@ -96,7 +96,7 @@ fn replay(log: &Path, spec: &MachineSpec, turns: &[Turn]) -> Result<DemoPage, Fa
     let models = config.load_models()?;
     let duty_cycles = DutyCycle::all(&models);
     let pipeline_config = PipelineConfig::new(&config, &duty_cycles);
-    let mut pipeline = Pipeline::new(pipeline_config);
+    let mut pipeline = Pipeline::new(pipeline_config)?;
     let truth =
         Truth { turns, period_s: spec.cycle.period_s, flow_lpm: &|area| pipeline_config.flow_lpm(area) };
     let mut page = DemoPage {

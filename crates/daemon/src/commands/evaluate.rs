@@ -124,7 +124,7 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
     let bar = byte_bar(2 * bytes.sum::<u64>(), "evaluating");
     let mut records = Vec::with_capacity(machines.len());
     for logs in machines {
-        let mut pipeline = Pipeline::new(pipeline_config);
+        let mut pipeline = Pipeline::new(pipeline_config)?;
         arguments.baseline.apply(&mut pipeline, &config)?;
         let mut record = estimate(logs, &config, &mut pipeline, &bar)?;
         lay_truth_beside(&mut record, logs, arguments, &config, &conditions, &bar)?;

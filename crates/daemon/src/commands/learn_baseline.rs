@@ -129,8 +129,10 @@ fn learn(
     occasion: &str,
 ) -> Result<Baseline, Failure> {
     let duty_cycles = DutyCycle::all(models);
-    let mut pipeline = Pipeline::new(PipelineConfig::new(config, &duty_cycles));
-    pipeline.monitors_mut()[which].learn(occasion, arguments.cycles);
+    let mut pipeline = Pipeline::new(PipelineConfig::new(config, &duty_cycles))?;
+    pipeline.monitors_mut()[which]
+        .learn(occasion, arguments.cycles)
+        .map_err(|what| Failure::new(Code::Configuration, what))?;
     let sizes = arguments.logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum();
     let bar = byte_bar(sizes, "learning");
     let notes = record::each_sample(&arguments.logs, config, &bar, |sample| {

@@ -91,7 +91,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         config.reference_dp_pa = mpa * 1e6;
     }
     let duty_cycles = DutyCycle::all(&models);
-    let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &duty_cycles));
+    let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &duty_cycles))?;
     let mut records = arguments.baseline.apply(&mut pipeline, &config)?;
     let mut files = Files::begin(arguments, &config, &duty_cycles)?;
     let mut out = Printer::new(arguments, config.reference_dp_pa);

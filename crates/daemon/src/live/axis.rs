@@ -53,7 +53,13 @@ pub async fn run(
     mut stop: watch::Receiver<bool>,
 ) -> bool {
     let duty_cycles = DutyCycle::all(&models);
-    let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &duty_cycles));
+    let mut pipeline = match Pipeline::new(PipelineConfig::new(&config, &duty_cycles)) {
+        Ok(pipeline) => pipeline,
+        Err(error) => {
+            tracing::error!(axis = config.axis, "{error}");
+            return true;
+        }
+    };
     let mut desk = Desk::new(&config, &pipeline, &around);
     let state = around.keeper.restored(&config.axis);
     let of_duty_cycles = state.as_ref().map(|state| &state.duty_cycles);

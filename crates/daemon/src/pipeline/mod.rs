@@ -7,7 +7,7 @@ mod arbiter;
 mod monitor;
 mod progress;
 
-use seepd_features::Counts;
+use seepd_features::{Counts, ReaderError};
 use seepd_signals::Sample;
 
 use crate::alarm::{Alarm, AlarmConfig};
@@ -50,15 +50,18 @@ pub struct Pipeline<'m> {
 
 impl<'m> Pipeline<'m> {
     /// Starts with an empty memory.
-    pub fn new(config: PipelineConfig<'m>) -> Self {
-        let monitors: Vec<_> = config.duty_cycles.iter().map(Monitor::new).collect();
-        Pipeline {
+    ///
+    /// # Errors
+    /// [`ReaderError`] of a model that has more features, phases or bins than the reader has room for.
+    pub fn new(config: PipelineConfig<'m>) -> Result<Self, ReaderError> {
+        let monitors: Vec<_> = config.duty_cycles.iter().map(Monitor::new).collect::<Result<_, _>>()?;
+        Ok(Pipeline {
             config,
             arbiter: Arbiter::new(monitors.len()),
             period_s: DutyCycle::longest_period_s(config.duty_cycles),
             monitors,
             progress: Progress::default(),
-        }
+        })
     }
 
     /// The configuration.

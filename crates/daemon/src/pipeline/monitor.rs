@@ -1,7 +1,7 @@
 //! A duty cycle and what watches it: its reader, its model, its baseline.
 
 use seepd_features::reader::MAX_FEATURES;
-use seepd_features::{CycleReader, CycleState, Projection, ValidCycle};
+use seepd_features::{CycleReader, CycleState, Projection, ReaderError, ValidCycle};
 use seepd_model::{Attribution, Estimate, Model, Novelty};
 
 use crate::baseline::follower::Followed;
@@ -112,13 +112,16 @@ pub(super) struct Absolute {
 
 impl<'m> Monitor<'m> {
     /// Begins with an empty memory.
-    pub(super) fn new(duty_cycle: &'m DutyCycle<'m>) -> Self {
+    ///
+    /// # Errors
+    /// [`ReaderError`] of a model that has more features, phases or bins than the reader has room for.
+    pub(super) fn new(duty_cycle: &'m DutyCycle<'m>) -> Result<Self, ReaderError> {
         let model = duty_cycle.model;
-        let reader = model.reader(&duty_cycle.projections);
-        let ring = vec![0.0; reader.definition().ring_samples()];
-        Monitor {
+        let reader = model.reader(&duty_cycle.projections)?;
+        let state = reader.start(vec![0.0; reader.definition().ring_samples()])?;
+        Ok(Monitor {
             reader,
-            state: CycleState::new(ring),
+            state,
             judge: Judge {
                 name: duty_cycle.name,
                 model,
@@ -128,7 +131,7 @@ impl<'m> Monitor<'m> {
                 told: Told::default(),
                 cycles: 0,
             },
-        }
+        })
     }
 
     /// The duty cycle's name, where the axis has several.
