@@ -271,3 +271,37 @@ fn training_gives_its_data_and_its_report_to_other_tools() {
     let estimate = model.estimate(features).value;
     assert!((estimate - area[0]).abs() < 0.3 * area[0], "{estimate}, not {}", area[0]);
 }
+
+/// A model that cannot compare is refused where a baseline is asked for, before it could begin to learn one for ever.
+#[test]
+fn a_model_without_a_comparison_is_refused_where_a_baseline_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut model: serde_json::Value = serde_json::from_slice(seepd::EMBEDDED_MODEL).unwrap();
+    model.as_object_mut().unwrap().remove("relative");
+    fs::write(folder.path().join("alone.json"), model.to_string()).unwrap();
+    let log = folder.path().join("log.mcap");
+    simulate(&log, &["--cycles", "2"]);
+    let config = folder.path().join("seepd.toml");
+    let source = "[source]\nlog = \"log.mcap\"\npace = \"fast\"\n";
+    let text =
+        format!("model = \"alone.json\"\nstate_dir = \"state\"\n[baseline]\nlearn_cycles = 20\n{source}");
+    fs::write(&config, &text).unwrap();
+    let path = config.to_str().unwrap();
+    for arguments in [
+        ["check", path].as_slice(),
+        &["run", "--config", path],
+        &["replay", "--config", path, log.to_str().unwrap()],
+    ] {
+        let output = seepd(arguments);
+        assert_eq!(output.status.code(), Some(78), "{arguments:?}: {}", stderr(&output));
+        assert!(
+            stderr(&output).contains("alone.json: the model has no estimates relative to a baseline"),
+            "{}",
+            stderr(&output)
+        );
+    }
+    fs::write(&config, text.replace("learn_cycles = 20", "learn_cycles = 0")).unwrap();
+    stdout(&seepd(["check", path]));
+    let output = seepd(["replay", "--config", path, "--learn-cycles", "20", log.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(78), "{}", stderr(&output));
+}

@@ -16,7 +16,7 @@ use seepd_sim::batch::{Job, run_lanes};
 use seepd_sim::cycle::Turn;
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
-use seepd_train::{Settings, Trained, train};
+use seepd_train::{Settings, TrainError, Trained, train};
 
 /// Trained as the embedded model was, but for fewer machines that calibrate and are compared with their baselines.
 static TRAINED: LazyLock<Trained> = LazyLock::new(|| {
@@ -51,6 +51,22 @@ fn embedded_trees_are_what_training_gives_to_the_bit() {
 fn embedded_model_is_what_training_gives_to_the_byte() {
     let trained = train(&MachineSpec::default(), &Settings::default(), &mut |_, _, _| ()).unwrap();
     assert!(trained.json == seepd::EMBEDDED_MODEL, "run: seepd train --out crates/daemon/assets/model.json");
+}
+
+#[test]
+fn a_model_that_cannot_compare_is_not_written() {
+    let settings = Settings {
+        observations: 100,
+        held_out: 100,
+        trials: 1,
+        relative_machines: 0,
+        calibrated_on: 50,
+        tested_on: 50,
+        ..Settings::default()
+    };
+    let error = train(&MachineSpec::default(), &settings, &mut |_, _, _| ()).unwrap_err();
+    assert!(matches!(error, TrainError::Comparison { simulated: 0 }), "{error}");
+    assert!(error.to_string().contains("cannot be learned from 0 simulated machines"), "{error}");
 }
 
 #[test]

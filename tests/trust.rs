@@ -96,7 +96,7 @@ fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool
                     let mut pipeline = Pipeline::new(config).unwrap();
                     match baseline {
                         Some(baseline) => pipeline.monitors_mut()[0].follow(baseline.clone()),
-                        None => pipeline.learn("test", BASELINE_CYCLES),
+                        None => pipeline.learn("test", BASELINE_CYCLES).unwrap(),
                     }
                     (pipeline, Noise::new(9_000 + number, day.cycles as u64), 0, Course::default())
                 })

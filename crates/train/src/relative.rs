@@ -690,10 +690,9 @@ pub(crate) fn measure(
     spec: &MachineSpec,
     settings: &Settings,
     reading: &Reading<'_>,
-    file: &ModelFile,
+    (file, relative): (&ModelFile, RelativeFile),
     tell: &mut dyn FnMut(usize, usize),
-) -> Result<Option<RelativeReport>, ModelError> {
-    let Some(relative) = file.relative.clone() else { return Ok(None) };
+) -> Result<RelativeReport, ModelError> {
     let relative = seepd_model::Relative::from_file(relative)?;
     let workshop = Workshop { spec, settings, reading };
     let pairs = workshop.pairs(
@@ -717,12 +716,12 @@ pub(crate) fn measure(
             })
             .collect()
     };
-    Ok(Some(RelativeReport {
+    Ok(RelativeReport {
         machines: pairs.len(),
         calibrated_on: settings.calibrated_on,
         command: accuracy(false),
         load: accuracy(true),
-    }))
+    })
 }
 
 fn accuracy_of(

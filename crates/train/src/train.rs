@@ -95,6 +95,15 @@ pub enum TrainError {
         /// Cycles simulated.
         simulated: usize,
     },
+    /// Too few machines were recognised before and after a change to learn estimates relative to a baseline from.
+    #[error(
+        "estimates relative to a baseline cannot be learned from {simulated} simulated machines: too few of their cycles were \
+         recognised, or their command says nothing of the leak"
+    )]
+    Comparison {
+        /// Machines simulated.
+        simulated: usize,
+    },
     /// The search failed.
     #[error("hyperparameter search: {0}")]
     Search(String),
@@ -129,7 +138,7 @@ pub struct Trained {
     /// What was measured.
     pub report: Report,
     /// What was measured of estimates relative to a baseline.
-    pub relative: Option<RelativeReport>,
+    pub relative: RelativeReport,
     /// What the search found.
     pub found: Found,
     /// What the model learned from: its features by column, and the leak areas, m².
@@ -196,7 +205,8 @@ pub fn train(
     let forest = Forest::grow(&table, found.growth, settings.seed);
     let (calibration, novelty) = calibrate(spec, settings, &reading, &features, &learned, &forest, transform);
     let relative =
-        relative::learn(spec, settings, &reading, &mut |done, all| tell(Stage::Compare, done, all));
+        relative::learn(spec, settings, &reading, &mut |done, all| tell(Stage::Compare, done, all))
+            .ok_or(TrainError::Comparison { simulated: settings.relative_machines })?;
 
     let mut file = ModelFile {
         schema: SCHEMA.into(),
@@ -218,7 +228,7 @@ pub fn train(
         },
         plant_sha256: plant_sha256(spec)?,
         golden: Vec::new(),
-        relative,
+        relative: Some(relative.clone()),
         training: None,
     };
     let model = Model::from_file(file.clone()).map_err(TrainError::Model)?;
@@ -237,7 +247,7 @@ pub fn train(
         settings,
     });
     tell(Stage::Measure, 1, 1);
-    let relative = relative::measure(spec, settings, &reading, &file, &mut |done, all| {
+    let relative = relative::measure(spec, settings, &reading, (&file, relative), &mut |done, all| {
         tell(Stage::Measure, done, all);
     })
     .map_err(TrainError::Model)?;

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use crate::baseline::{Baseline, BaselineFile, LEAST_CYCLES, MOST_CYCLES, relative_of};
+use crate::baseline::{Baseline, BaselineFile, LEAST_CYCLES, MOST_CYCLES};
 use crate::config::{Config, NamedModel, Selection};
 use crate::failure::{Code, Failure};
 use crate::pipeline::Pipeline;
@@ -79,10 +79,7 @@ impl BaselineArguments {
     pub fn apply(&self, pipeline: &mut Pipeline<'_>, config: &Config) -> Result<Vec<Vec<Baseline>>, Failure> {
         if let Some(cycles) = self.learn_cycles {
             check_cycles("--learn-cycles", cycles)?;
-            for monitor in pipeline.monitors() {
-                relative_of(monitor.model()).map_err(|what| Failure::new(Code::Configuration, what))?;
-            }
-            pipeline.learn("first cycles", cycles);
+            pipeline.learn("first cycles", cycles).map_err(|what| Failure::new(Code::Configuration, what))?;
             return Ok(vec![Vec::new(); pipeline.monitors().len()]);
         }
         let mut files = config.baseline_files();

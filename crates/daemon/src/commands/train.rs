@@ -141,7 +141,7 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
             features: trained.model.feature_names(),
             out_of_bag_rms: trained.found.out_of_bag_rms,
             report: &trained.report,
-            relative: trained.relative.as_ref(),
+            relative: &trained.relative,
         };
         serde_json::to_writer(&mut report, &told)
             .map_err(|error| Failure::new(Code::Internal, format!("writing the report as JSON: {error}")))?;
@@ -166,7 +166,7 @@ struct JsonReport<'a> {
     out_of_bag_rms: f64,
     #[serde(flatten)]
     report: &'a Report,
-    relative: Option<&'a RelativeReport>,
+    relative: &'a RelativeReport,
 }
 
 fn write_data(out: &Output, trained: &Trained) -> Result<(), Failure> {
@@ -197,7 +197,10 @@ fn name_of(stage: Stage) -> &'static str {
 
 fn failure(error: &TrainError) -> Failure {
     let code = match error {
-        TrainError::NoStroke | TrainError::Spec(_) | TrainError::Unrecognised { .. } => Code::Configuration,
+        TrainError::NoStroke
+        | TrainError::Spec(_)
+        | TrainError::Unrecognised { .. }
+        | TrainError::Comparison { .. } => Code::Configuration,
         TrainError::Search(_) | TrainError::Model(_) | TrainError::Json(_) => Code::Internal,
     };
     Failure::new(code, error.to_string())
@@ -226,7 +229,7 @@ fn print_report(out: &mut impl Write, arguments: &TrainArguments, trained: &Trai
     )?;
     print_accuracy(out, &trained.report)?;
     trained.report.noise_table.as_ref().map_or(Ok(()), |table| print_noise_table(out, table))?;
-    trained.relative.as_ref().map_or(Ok(()), |report| print_relative(out, report))
+    print_relative(out, &trained.relative)
 }
 
 fn print_relative(out: &mut impl Write, report: &RelativeReport) -> io::Result<()> {

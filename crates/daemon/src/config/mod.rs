@@ -12,7 +12,7 @@ use seepd_signals::Signal;
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::AlarmConfig;
-use crate::baseline::{LEAST_CYCLES, MOST_CYCLES};
+use crate::baseline::{LEAST_CYCLES, MOST_CYCLES, relative_of};
 use crate::failure::{Code, Failure};
 use crate::source::fields::FieldTree;
 
@@ -391,6 +391,26 @@ impl Config {
     /// # Errors
     /// [`Failure`] where a file cannot be read or is no model, or where models read at different rates.
     pub fn load_models(&self) -> Result<Vec<NamedModel>, Failure> {
+        let models = self.read_models()?;
+        for (named, baseline) in models.iter().zip(self.baseline_files()) {
+            if self.baseline.learn_cycles > 0 || baseline.is_some() {
+                let of_model = self.model_file(named.name.as_deref());
+                relative_of(&named.model).map_err(|what| Failure::configuration(of_model, what))?;
+            }
+        }
+        Ok(models)
+    }
+
+    /// The file of a duty cycle's model, for messages.
+    fn model_file(&self, duty_cycle: Option<&str>) -> &Path {
+        let named = |known: &&DutyCycleConfig| Some(known.name.as_str()) == duty_cycle;
+        let of_duty_cycle = self.duty_cycles.iter().find(named).map(|known| &known.model);
+        of_duty_cycle
+            .or(self.model.as_ref())
+            .map_or(Path::new("the model that the program brings"), PathBuf::as_path)
+    }
+
+    fn read_models(&self) -> Result<Vec<NamedModel>, Failure> {
         if self.duty_cycles.is_empty() {
             let model = self.model.as_deref().map_or_else(embedded_model, load_model)?;
             return Ok(vec![NamedModel { name: None, model }]);

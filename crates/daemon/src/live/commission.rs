@@ -63,7 +63,10 @@ impl Record {
                 monitor.follow(baseline.clone());
                 state.drift.into_iter().for_each(|drift| monitor.restore_drift(drift));
             }
-            None if self.learn_cycles > 0 => monitor.learn("commissioning", self.learn_cycles),
+            None if self.learn_cycles > 0 => {
+                let begun = monitor.learn("commissioning", self.learn_cycles);
+                begun.unwrap_or_else(|what| tracing::error!("{what}"));
+            }
             None => {}
         }
     }
@@ -71,8 +74,10 @@ impl Record {
     /// Learns a new baseline from the next cycles; the older ones stay in the record.
     pub fn renew(&mut self, monitor: &mut Monitor<'_>) {
         let cycles = if self.learn_cycles > 0 { self.learn_cycles } else { USUAL_CYCLES };
-        monitor.learn("seal replaced", cycles);
-        self.renewing = true;
+        match monitor.learn("seal replaced", cycles) {
+            Ok(()) => self.renewing = true,
+            Err(what) => tracing::error!("no new baseline: {what}"),
+        }
     }
 
     /// Keeps the monitor's baseline, if it is a new one or none could be written before. It is on disk when this returns, before the

@@ -143,8 +143,11 @@ impl<'m> Pipeline<'m> {
     }
 
     /// Learns a baseline of each duty cycle from its next cycles, and compares with it from then on.
-    pub fn learn(&mut self, occasion: &str, cycles: usize) {
-        self.monitors.iter_mut().for_each(|monitor| monitor.learn(occasion, cycles));
+    ///
+    /// # Errors
+    /// One line where a model cannot compare.
+    pub fn learn(&mut self, occasion: &str, cycles: usize) -> Result<(), String> {
+        self.monitors.iter_mut().try_for_each(|monitor| monitor.learn(occasion, cycles))
     }
 
     /// What the sums over cycles say: a leak where any duty cycle shows it.

@@ -5,7 +5,7 @@ use seepd_features::{CycleReader, CycleState, Projection, ReaderError, ValidCycl
 use seepd_model::{Attribution, Estimate, Model, Novelty};
 
 use crate::baseline::follower::Followed;
-use crate::baseline::{Baseline, Drift, Finding, Follower, Learner, LoadKnowledge};
+use crate::baseline::{Baseline, Drift, Finding, Follower, Learner, LoadKnowledge, relative_of};
 use crate::config::NamedModel;
 
 /// A duty cycle of the axis.
@@ -155,9 +155,14 @@ impl<'m> Monitor<'m> {
     }
 
     /// Learns a baseline from the next cycles, and compares with it from then on.
-    pub fn learn(&mut self, occasion: &str, cycles: usize) {
+    ///
+    /// # Errors
+    /// One line where the model cannot compare: learning would begin anew for ever.
+    pub fn learn(&mut self, occasion: &str, cycles: usize) -> Result<(), String> {
+        relative_of(self.judge.model)?;
         self.judge.commissioning = Commissioning::Learning(Learner::new(occasion, cycles));
         self.judge.told.finding = Finding::None;
+        Ok(())
     }
 
     /// The baseline that cycles are compared with.
