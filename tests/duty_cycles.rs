@@ -324,7 +324,7 @@ fn the_daemon_keeps_a_baseline_for_each() {
         |log: &Path| configuration(&format!("[source]\nlog = \"{}\"\npace = \"fast\"\n", log.display()));
     assert!(Daemon::start(folder.path(), &of_log(&healthy)).wait().success());
     for name in both {
-        let record = folder.path().join(format!("state/baseline-press-1-{name}.json"));
+        let record = folder.path().join(format!("state/axes/press-1/baseline-{name}.json"));
         let record: Value = serde_json::from_str(&fs::read_to_string(record).unwrap()).unwrap();
         assert_eq!(record["baselines"].as_array().unwrap().len(), 1, "{name}");
     }

@@ -386,7 +386,7 @@ fn the_first_cycles_become_the_baseline_and_a_new_seal_begins_another() {
         )
     };
     assert!(Daemon::start(folder.path(), &of_log(&healthy)).wait().success());
-    let record = folder.path().join("state/baseline-press-1.json");
+    let record = folder.path().join("state/axes/press-1/baseline.json");
     let baselines = || -> serde_json::Value {
         serde_json::from_str::<serde_json::Value>(&fs::read_to_string(&record).unwrap()).unwrap()["baselines"]
             .clone()
@@ -801,6 +801,10 @@ fn configurations_that_cannot_work_are_refused_before_the_start() {
         ("[source]\ncan = \"can0\"\nlog = \"a\"\n", "an axis has one source"),
         ("[source]\ncan = \"can0\"\n", "signals.command"),
         ("axis = \"a/b\"\n", "axis is `a/b`"),
+        ("axis = \"..\"\n", "axis is `..`"),
+        ("axis = \"-a\"\n", "axis is `-a`"),
+        ("axis = \"a\\u001b[2J\"\n", "axis is `a\\u{1b}[2J`"),
+        ("[signals.position]\nfield = \"x\"\n", "signals.command is missing"),
         ("[[axes]]\naxis = \"a\"\n[[axes]]\naxis = \"a\"\n", "two axes are called `a`"),
         ("axis = \"x\"\n[[axes]]\naxis = \"a\"\n", "at its top"),
         ("[[axes]]\naxis = \"a\"\n[axes.http]\n", "stand at the file's top"),

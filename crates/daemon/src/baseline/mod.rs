@@ -22,6 +22,8 @@ pub use learner::Learner;
 
 /// Version of the file.
 const SCHEMA: &str = "seepd.baseline/1";
+/// Name of an axis to which nobody has given one. A baseline of such an axis can be any one's.
+pub const UNNAMED_AXIS: &str = "axis";
 /// Least cycles of a baseline.
 pub const LEAST_CYCLES: usize = 20;
 /// Most cycles of a baseline.
@@ -114,13 +116,18 @@ impl BaselineFile {
         Ok(file)
     }
 
-    /// Reads and checks a file.
+    /// Reads and checks an axis's file.
     ///
     /// # Errors
-    /// [`Failure`] with the file's name.
-    pub fn read(path: &Path, model: &Model) -> Result<Self, Failure> {
+    /// [`Failure`] with the file's name, of another axis's file too.
+    pub fn read(path: &Path, axis: &str, model: &Model) -> Result<Self, Failure> {
         let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
-        Self::parse(&text, model).map_err(|message| Failure::configuration(path, message))
+        let file = Self::parse(&text, model).map_err(|message| Failure::configuration(path, message))?;
+        if file.axis != axis && file.axis != UNNAMED_AXIS && axis != UNNAMED_AXIS {
+            let what = format!("is the baseline of axis {}, not of {axis}", file.axis);
+            return Err(Failure::configuration(path, what));
+        }
+        Ok(file)
     }
 
     /// The baseline that counts.

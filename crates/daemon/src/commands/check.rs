@@ -165,7 +165,10 @@ fn check_configuration(path: &Path) -> Result<Good, Failure> {
         };
         let models = axis.load_models().map_err(of_axis)?;
         for (named, baseline) in models.iter().zip(axis.baseline_files()) {
-            baseline.map(|file| BaselineFile::read(file, &named.model)).transpose().map_err(of_axis)?;
+            baseline
+                .map(|file| BaselineFile::read(file, &axis.axis, &named.model))
+                .transpose()
+                .map_err(of_axis)?;
         }
         if axis.dbc.is_some() || axis.source.can.is_some() {
             frame_decoder(axis).map_err(of_axis)?;

@@ -101,7 +101,7 @@ fn record_of(
 ) -> Result<BaselineFile, Failure> {
     let path = &arguments.out;
     match (arguments.seal_replaced, path.exists()) {
-        (true, _) => BaselineFile::read(path, model),
+        (true, _) => BaselineFile::read(path, &config.axis, model),
         (false, true) if !arguments.overwrite.force => Err(Failure::new(
             Code::Usage,
             format!(

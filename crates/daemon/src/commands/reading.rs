@@ -97,7 +97,7 @@ impl BaselineArguments {
                 records.push(Vec::new());
                 continue;
             };
-            let file = BaselineFile::read(path, monitor.model())?;
+            let file = BaselineFile::read(path, &config.axis, monitor.model())?;
             let Some(baseline) = file.newest() else {
                 return Err(Failure::configuration(path, "has no baseline; see seepd learn-baseline"));
             };

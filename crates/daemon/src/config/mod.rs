@@ -12,7 +12,7 @@ use seepd_signals::Signal;
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::AlarmConfig;
-use crate::baseline::{LEAST_CYCLES, MOST_CYCLES, relative_of};
+use crate::baseline::{LEAST_CYCLES, MOST_CYCLES, UNNAMED_AXIS, relative_of};
 use crate::failure::{Code, Failure};
 use crate::source::fields::FieldTree;
 
@@ -177,7 +177,7 @@ pub struct BaselineConfig {
 impl Default for Config {
     fn default() -> Self {
         Config {
-            axis: "axis".into(),
+            axis: UNNAMED_AXIS.into(),
             model: None,
             duty_cycles: Vec::new(),
             reference_dp_pa: 7e6,
@@ -448,15 +448,24 @@ impl Config {
     }
 }
 
-/// Checks that a text can be a name in topics and files.
+/// Longest name of an axis or a duty cycle, bytes: file names, with what is added to them, have 255 at most.
+const LONGEST_NAME: usize = 100;
+
+/// Checks that a text can be a name in topics, files and folders.
 fn check_name(key: &str, text: &str) -> Result<(), String> {
-    let is_special = |c: char| c.is_control() || matches!(c, '/' | '#' | '+' | '"' | '\\');
-    if text.is_empty() || text.contains(is_special) {
-        return Err(format!(
-            "{key} is `{text}`; names have no / # + \" \\, no control characters and are not empty"
-        ));
+    let is_allowed = |c: char| c.is_alphanumeric() || matches!(c, ' ' | '.' | '_' | '-');
+    let is_bare = |end: Option<char>| end.is_some_and(char::is_alphanumeric);
+    if text.len() <= LONGEST_NAME
+        && text.chars().all(is_allowed)
+        && is_bare(text.chars().next())
+        && is_bare(text.chars().next_back())
+    {
+        return Ok(());
     }
-    Ok(())
+    Err(format!(
+        "{key} is `{}`; a name has letters, digits, spaces and . _ - between letters or digits, at most {LONGEST_NAME} bytes",
+        text.escape_debug()
+    ))
 }
 
 /// A name that is there more than once.

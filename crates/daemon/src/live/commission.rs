@@ -1,8 +1,8 @@
-//! A duty cycle's baselines on disk: `baseline-AXIS.json` in the state folder, of several duty cycles `baseline-AXIS-NAME.json`; the form
-//! of `seepd learn-baseline`.
+//! A duty cycle's baselines on disk: `axes/AXIS/baseline.json` in the state folder, of several duty cycles `axes/AXIS/baseline-NAME.json`;
+//! the form of `seepd learn-baseline`.
 
-use std::io;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
 
 use super::state::{DutyCycleState, set_aside, write_durably};
 use crate::baseline::BaselineFile;
@@ -29,11 +29,21 @@ impl Record {
     /// used is told of and set aside.
     pub fn open(folder: &Path, config: &Config, (index, monitor): (usize, &Monitor<'_>)) -> Self {
         let of_duty_cycle = monitor.name().map_or(String::new(), |name| format!("-{name}"));
-        let path = folder.join(format!("baseline-{}{of_duty_cycle}.json", config.axis));
+        let path = folder.join("axes").join(&config.axis).join(format!("baseline{of_duty_cycle}.json"));
         let model = monitor.model();
-        let own = path.exists().then(|| BaselineFile::read(&path, model));
+        let read = |file: &Path| BaselineFile::read(file, &config.axis, model);
+        if !path.exists() {
+            // Where version 0.1.0 kept it: a name that two axes could share.
+            let former = folder.join(format!("baseline-{}{of_duty_cycle}.json", config.axis));
+            if read(&former).is_ok_and(|file| file.axis == config.axis)
+                && let Err(error) = take_over(&former, &path)
+            {
+                tracing::error!(axis = config.axis, "{}: {error}; it is not used", former.display());
+            }
+        }
+        let own = path.exists().then(|| read(&path));
         let files = config.baseline_files();
-        let given = || files.get(index).copied().flatten().map(|file| BaselineFile::read(file, model));
+        let given = || files.get(index).copied().flatten().map(read);
         let file = match own {
             Some(Err(failure)) => {
                 let aside = set_aside(&path);
@@ -71,7 +81,7 @@ impl Record {
         }
     }
 
-    /// Learns a new baseline from the next cycles; the older ones stay in the record.
+    /// Learns a new baseline from the next cycles; the older ones stay in the record. Nothing changes where the model cannot compare.
     pub fn renew(&mut self, monitor: &mut Monitor<'_>) {
         let cycles = if self.learn_cycles > 0 { self.learn_cycles } else { USUAL_CYCLES };
         match monitor.learn("seal replaced", cycles) {
@@ -91,9 +101,44 @@ impl Record {
             self.unsaved = true;
         }
         if self.unsaved {
+            self.path.parent().map_or(Ok(()), fs::create_dir_all)?;
             write_durably(&self.path, self.file.to_json()?.as_bytes())?;
             (self.unsaved, self.renewing) = (false, false);
         }
         Ok(())
+    }
+}
+
+/// Moves a file into a folder that is made for it.
+fn take_over(from: &Path, to: &Path) -> io::Result<()> {
+    to.parent().map_or(Ok(()), fs::create_dir_all)?;
+    fs::rename(from, to)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::embedded_model;
+    use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
+
+    /// Axis `press` with a duty cycle `1` and axis `press-1` had one file; what is in it is the latter's.
+    #[test]
+    fn no_two_duty_cycles_share_a_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let model = embedded_model().unwrap();
+        let former = folder.path().join("baseline-press-1.json");
+        fs::write(&former, BaselineFile::new("press-1", &model).to_json().unwrap()).unwrap();
+        let open = |axis: &str, name: Option<&str>| {
+            let config = Config { axis: axis.into(), ..Config::default() };
+            let duty_cycles = [DutyCycle { name, ..DutyCycle::only(&model) }];
+            let pipeline = Pipeline::new(PipelineConfig::new(&config, &duty_cycles)).unwrap();
+            Record::open(folder.path(), &config, (0, &pipeline.monitors()[0])).path
+        };
+        let of_duty_cycle = open("press", Some("1"));
+        assert_eq!(of_duty_cycle, folder.path().join("axes/press/baseline-1.json"));
+        assert!(former.exists() && !of_duty_cycle.exists());
+        let of_axis = open("press-1", None);
+        assert_eq!(of_axis, folder.path().join("axes/press-1/baseline.json"));
+        assert!(!former.exists() && of_axis.exists());
     }
 }
