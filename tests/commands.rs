@@ -430,3 +430,75 @@ fn no_colour_reaches_a_file() {
     assert!(!text.contains('\u{1b}'));
     assert!(text.contains("L/min at 7 MPa"));
 }
+
+/// A daemon's file with several axes: offline commands read the one that is named, and none that is not.
+#[test]
+fn several_axes_are_chosen_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    let (log, config) = (path("log.mcap"), path("seepd.toml"));
+    simulate(
+        &folder.path().join("log.mcap"),
+        &["--cycles", "24", "--leak-area", "1e-6", "--topic-prefix", "/press/2"],
+    );
+    let axes = "state_dir = \"state\"\n\
+        [[axes]]\naxis = \"press-1\"\n[axes.signals.command]\ntopic = \"/press/1/signals\"\n\
+        [[axes]]\naxis = \"press-2\"\nreference_dp_pa = 1e7\n[axes.signals.command]\ntopic = \"/press/2/signals\"\n\
+        [axes.signals.position]\ntopic = \"/press/2/signals\"\n";
+    fs::write(&config, axes).unwrap();
+    let lines = replay(&folder.path().join("log.mcap"), &["--config", &config, "--axis", "press-2"]);
+    assert_eq!((&lines[0]["axis"], &lines[0]["reference_dp_pa"]), (&"press-2".into(), &1e7.into()));
+    assert_eq!(estimates(&lines).len(), 24);
+    let baseline = path("baseline.json");
+    for command in [vec!["replay"], vec!["evaluate"], vec!["gap"], vec!["learn-baseline", "--out", &baseline]]
+    {
+        for (axis, told) in [
+            (&[][..], "choose one by --axis: press-1, press-2"),
+            (&["--axis", "press-3"], "has no axis `press-3`; it has press-1, press-2"),
+        ] {
+            let output = seepd(command.iter().chain(&["--config", &config, &log]).chain(axis));
+            assert_eq!((output.status.code(), output.stdout.len()), (Some(64), 0), "{command:?}");
+            assert!(stderr(&output).contains(told), "{command:?}: {}", stderr(&output));
+        }
+    }
+    stdout(&seepd(["learn-baseline", "--out", &baseline, "--config", &config, "--axis", "press-2", &log]));
+    let learned: serde_json::Value = serde_json::from_slice(&fs::read(&baseline).unwrap()).unwrap();
+    assert_eq!(learned["axis"], "press-2");
+    // One axis's baseline is not another's, unless it was learned without a name.
+    let other = seepd(["replay", "--config", &config, "--axis", "press-1", "--baseline", &baseline, &log]);
+    assert_eq!(other.status.code(), Some(78));
+    assert!(stderr(&other).contains("is the baseline of axis press-2, not of press-1"), "{}", stderr(&other));
+    let unnamed = fs::read_to_string(&baseline).unwrap().replace("\"press-2\"", "\"axis\"");
+    fs::write(&baseline, unnamed).unwrap();
+    let more = ["--config", &config, "--axis", "press-2", "--baseline", &baseline];
+    assert!(replay(&folder.path().join("log.mcap"), &more)[0]["response_m2"].is_f64());
+    // The name of the only axis may be given, and must be right.
+    let one = path("one.toml");
+    fs::write(&one, "axis = \"press-2\"\n[signals.command]\ntopic = \"/press/2/signals\"\n").unwrap();
+    assert_eq!(replay(&folder.path().join("log.mcap"), &["--config", &one, "--axis", "press-2"]).len(), 25);
+    assert_eq!(seepd(["replay", "--config", &one, "--axis", "press-1", &log]).status.code(), Some(64));
+}
+
+/// A stroke that never comes: nothing is known of a fault, and a program that asks is not told that there is none.
+#[test]
+fn fail_on_fault_is_not_satisfied_without_a_flag() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = folder.path().join("log.mcap");
+    let ask = |more: &[&str]| {
+        simulate(&log, more);
+        let output = seepd(["replay", "--quiet", "--fail-on-fault", log.to_str().unwrap()]);
+        (output.status.code(), stderr(&output))
+    };
+    let (code, told) = ask(&["--cycles", "1", "--start-at", "4"]);
+    assert_eq!((code, told.lines().count()), (Some(65), 1), "{told}");
+    assert!(
+        told.contains("cannot be told: 0 cycles with an estimate") && told.contains("incomplete"),
+        "{told}"
+    );
+    // Two estimates above a threshold are too few to raise a flag, and are no health.
+    let (code, told) = ask(&["--cycles", "2", "--leak-area", "1e-6"]);
+    assert_eq!(code, Some(65));
+    assert!(told.contains("2 cycles with an estimate are too few"), "{told}");
+    assert_eq!(ask(&["--cycles", "3", "--leak-area", "1e-6"]).0, Some(1));
+    assert_eq!(ask(&["--cycles", "2"]).0, Some(0));
+}

@@ -13,9 +13,10 @@ use seepd_sim::electric::ElectricAxis;
 use seepd_sim::{MachineSpec, PlantParameters, SpecError};
 
 use super::blind::BlindArguments;
+use super::reading::MappingArguments;
 use super::simulate::read_plant;
 use crate::cli::Outcome;
-use crate::config::{Config, Selection};
+use crate::config::Config;
 use crate::event::LPM_PER_M3_PER_S;
 use crate::failure::{Code, Failure};
 use crate::html::gap::GapPage;
@@ -41,15 +42,8 @@ pub struct GapArguments {
     /// Plant file instead of the nominal press
     #[arg(long, value_name = "FILE")]
     plant: Option<PathBuf>,
-    /// Configuration with the signals' mapping
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
-    /// Topic of the signals, where the log has several axes; interface in a CAN log
-    #[arg(long, value_name = "TOPIC")]
-    topic: Option<String>,
-    /// DBC file that describes a CAN log's frames
-    #[arg(long, value_name = "FILE")]
-    dbc: Option<PathBuf>,
+    #[command(flatten)]
+    mapping: MappingArguments,
     /// Write the diagnosis as JSON (seepd.gap/1); `-`: to standard output, instead of the report
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -131,9 +125,7 @@ fn run_on<A: PlantFile>(
     plant: Option<&PlantParameters>,
     begin: Instant,
 ) -> Result<Outcome, Failure> {
-    let mut config = arguments.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
-    config.selection = Selection { topic: arguments.topic.clone(), command: None };
-    config.dbc = arguments.dbc.clone().or(config.dbc);
+    let config = arguments.mapping.load()?;
     let outputs = GapOutputs::claim(arguments, path, &config)?;
     let (log, notes) = read(path, &config, spec)?;
     let bar = progress_bar(seepd_gap::diagnosis::STEPS as u64, "diagnosing");
@@ -167,9 +159,8 @@ enum JsonOutput {
 
 impl GapOutputs {
     fn claim(arguments: &GapArguments, log: &Path, config: &Config) -> Result<Self, Failure> {
-        let named = [&arguments.plant, &arguments.config].into_iter().flatten().map(PathBuf::as_path);
-        let mut outputs =
-            Outputs::new(arguments.overwrite, [log].into_iter().chain(named).chain(config.files()));
+        let named = arguments.plant.as_deref().into_iter().chain(arguments.mapping.files(config));
+        let mut outputs = Outputs::new(arguments.overwrite, [log].into_iter().chain(named));
         let json = match &arguments.json {
             Some(path) if path == Path::new("-") => Some(JsonOutput::Standard),
             Some(path) => Some(JsonOutput::File(outputs.claim(path)?)),

@@ -9,15 +9,15 @@ use crate::config::{Config, NamedModel, Selection};
 use crate::failure::{Code, Failure};
 use crate::pipeline::Pipeline;
 
-/// The arguments that such commands share.
+/// The arguments that say where the signals are.
 #[derive(Debug, Args)]
-pub struct ReadingArguments {
+pub struct MappingArguments {
     /// Configuration with mapping, model and alarm thresholds
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Model instead of the configuration's or the one that the program brings
-    #[arg(long, value_name = "FILE")]
-    model: Option<PathBuf>,
+    /// The axis of the configuration whose log it is, where it has several
+    #[arg(long, value_name = "NAME", requires = "config")]
+    axis: Option<String>,
     /// Topic of the signals, where the log has several axes; interface in a CAN log
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
@@ -29,20 +29,51 @@ pub struct ReadingArguments {
     command: Option<String>,
 }
 
-impl ReadingArguments {
+impl MappingArguments {
     /// The files that a command with these arguments reads beside its logs.
     pub fn files<'a>(&'a self, config: &'a Config) -> impl Iterator<Item = &'a Path> {
         self.config.as_deref().into_iter().chain(config.files())
     }
 
-    /// The configuration with what the command line says on top, and each duty cycle's model.
+    /// The axis's configuration with what the command line says on top.
+    ///
+    /// # Errors
+    /// [`Failure`] of the file, or where it has several axes and none or another one is named.
+    pub fn load(&self) -> Result<Config, Failure> {
+        let mut config = match &self.config {
+            Some(path) => Config::read(path)?
+                .into_axis(self.axis.as_deref())
+                .map_err(|what| Failure::new(Code::Usage, format!("{}: {what}", path.display())))?,
+            None => Config::default(),
+        };
+        config.selection = Selection { topic: self.topic.clone(), command: self.command.clone() };
+        config.dbc = self.dbc.clone().or(config.dbc);
+        Ok(config)
+    }
+}
+
+/// The arguments of commands that estimate.
+#[derive(Debug, Args)]
+pub struct ReadingArguments {
+    #[command(flatten)]
+    mapping: MappingArguments,
+    /// Model instead of the configuration's or the one that the program brings
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+}
+
+impl ReadingArguments {
+    /// The files that a command with these arguments reads beside its logs.
+    pub fn files<'a>(&'a self, config: &'a Config) -> impl Iterator<Item = &'a Path> {
+        self.mapping.files(config)
+    }
+
+    /// The axis's configuration with what the command line says on top, and each duty cycle's model.
     ///
     /// # Errors
     /// [`Failure`] of either file.
     pub fn load(&self) -> Result<(Config, Vec<NamedModel>), Failure> {
-        let mut config = self.config.as_deref().map_or_else(|| Ok(Config::default()), Config::read)?;
-        config.selection = Selection { topic: self.topic.clone(), command: self.command.clone() };
-        config.dbc = self.dbc.clone().or(config.dbc);
+        let mut config = self.mapping.load()?;
         if let Some(path) = &self.model {
             if !config.duty_cycles.is_empty() {
                 let text = "--model: the configuration has several duty cycles, each with its own model";

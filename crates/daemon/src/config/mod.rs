@@ -327,6 +327,22 @@ impl Config {
         if self.axes.is_empty() { std::slice::from_ref(self) } else { &self.axes }
     }
 
+    /// The axis of that name, or the only one.
+    ///
+    /// # Errors
+    /// One line with the axes' names, where there are several and none is named, or none has the name.
+    pub fn into_axis(self, name: Option<&str>) -> Result<Self, String> {
+        let names = || self.axes().iter().map(|axis| axis.axis.as_str()).collect::<Vec<_>>().join(", ");
+        let chosen = match (name, self.axes()) {
+            (None, [only]) => Some(only),
+            (None, _) => return Err(format!("has several axes; choose one by --axis: {}", names())),
+            (Some(name), axes) => axes.iter().find(|axis| axis.axis == name),
+        };
+        chosen
+            .cloned()
+            .ok_or_else(|| format!("has no axis `{}`; it has {}", name.unwrap_or_default(), names()))
+    }
+
     /// The axes without the tables of the whole daemon.
     pub fn axis_tables(&self) -> Vec<Config> {
         self.axes().iter().map(|axis| axis.clone().without_sinks()).collect()
