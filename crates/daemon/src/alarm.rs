@@ -1,11 +1,13 @@
 //! The alarm state machine: from estimates, cycle by cycle, to a flag.
 //!
-//! Several cycles in a row must agree before a flag rises, more before it falls, and it falls only below a
-//! share of its threshold. No estimate is a state of its own, never silence and never zero.
+//! Several estimates in a row must agree before a flag rises, more before it falls, and it falls only below a
+//! share of its threshold. Cycles without an estimate say nothing: they neither lengthen a row nor break it, or a lossy
+//! input would hide the largest leak. No estimate is a state of its own, never silence and never zero; it does not end in
+//! `healthy` while estimates lie above a threshold.
 
 use serde::{Deserialize, Serialize};
 
-use crate::event::{Evidence, Flag};
+use crate::event::{Evidence, Flag, Grounds};
 
 /// Thresholds and patience: the `[alarm]` table of `seepd.toml`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -19,9 +21,9 @@ pub struct AlarmConfig {
     pub severe_lpm: f64,
     /// A flag falls below this share of its threshold.
     pub clear_share: f64,
-    /// Cycles in a row at or above a threshold that raise a flag.
+    /// Estimates in a row at or above a threshold that raise a flag.
     pub raise_cycles: u32,
-    /// Cycles in a row below a threshold's share that clear a flag.
+    /// Estimates in a row below a threshold's share that clear a flag.
     pub clear_cycles: u32,
     /// Rejected cycles in a row after which there is no estimate.
     pub lost_cycles: u32,
@@ -79,7 +81,10 @@ impl AlarmConfig {
 
 const RISING: [Flag; 3] = [Flag::Watch, Flag::Leak, Flag::Severe];
 
-/// Cycles in a row that satisfy a condition, with the range of their flows.
+/// Why there is no flag while too few estimates above a threshold are there to raise one.
+pub const UNCONFIRMED: &str = "unconfirmed";
+
+/// Estimates in a row that satisfy a condition, with the range of their flows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 struct Run {
     cycles: u32,
@@ -100,12 +105,13 @@ impl Run {
         }
     }
 
-    fn evidence(&self, threshold_lpm: f64) -> Evidence {
+    fn evidence(&self, grounds: Grounds, threshold_lpm: Option<f64>) -> Evidence {
         Evidence {
+            grounds,
             cycles: self.cycles,
             lowest_lpm: Some(self.lowest_lpm),
             highest_lpm: Some(self.highest_lpm),
-            threshold_lpm: Some(threshold_lpm),
+            threshold_lpm,
             reason: None,
         }
     }
@@ -129,9 +135,9 @@ pub struct Alarm {
     level: Flag,
     reason: Option<&'static str>,
     highest: Flag,
-    /// Cycles in a row at or above the threshold of watch, leak, severe.
+    /// Estimates in a row at or above the threshold of watch, leak, severe.
     above: [Run; 3],
-    /// Cycles in a row below the share of that threshold.
+    /// Estimates in a row below the share of that threshold.
     below: [Run; 3],
     rejected: u32,
 }
@@ -236,7 +242,6 @@ impl Alarm {
     /// The same where the sums over cycles may have found a leak below the threshold, which is to be watched then.
     pub fn estimated_with(&mut self, config: &AlarmConfig, flow_lpm: f64, found: bool) -> Option<Change> {
         let from = self.flag();
-        let regained = self.reason.take().is_some();
         self.rejected = 0;
         for (index, flag) in RISING.into_iter().enumerate() {
             let threshold = config.threshold_lpm(flag);
@@ -245,16 +250,19 @@ impl Alarm {
             self.below[index].note(flow_lpm < config.clear_share * threshold && !found, flow_lpm);
         }
         let evidence = self.raised(config).or_else(|| self.cleared(config));
+        let is_unconfirmed = self.level == Flag::Healthy && self.above[0].cycles > 0;
+        if is_unconfirmed && self.reason.is_some() {
+            self.reason = Some(UNCONFIRMED);
+            return None;
+        }
+        let regained = self.reason.take().is_some();
         self.highest = self.highest.max(self.level);
         let evidence = match evidence {
             Some(evidence) => evidence,
-            None if regained => Evidence {
-                cycles: 1,
-                lowest_lpm: Some(flow_lpm),
-                highest_lpm: Some(flow_lpm),
-                threshold_lpm: None,
-                reason: None,
-            },
+            None if regained => {
+                let only = Run { cycles: 1, lowest_lpm: flow_lpm, highest_lpm: flow_lpm };
+                only.evidence(Grounds::Estimate, None)
+            }
             None => return None,
         };
         Some(Change { from, to: self.level, evidence })
@@ -266,7 +274,13 @@ impl Alarm {
                 *flag > self.level && self.above[*index].cycles >= config.raise_cycles
             })?;
         self.level = flag;
-        Some(self.above[index].evidence(config.threshold_lpm(flag)))
+        let (run, threshold_lpm) = (&self.above[index], config.threshold_lpm(flag));
+        // Estimates below the threshold are in the row where the sums have found a leak.
+        Some(if run.lowest_lpm < threshold_lpm {
+            run.evidence(Grounds::SumOverCycles, None)
+        } else {
+            run.evidence(Grounds::AboveThreshold, Some(threshold_lpm))
+        })
     }
 
     fn cleared(&mut self, config: &AlarmConfig) -> Option<Evidence> {
@@ -276,7 +290,7 @@ impl Alarm {
             .enumerate()
             .find(|(index, flag)| *flag <= self.level && self.below[*index].cycles >= config.clear_cycles)?;
         self.level = if index == 0 { Flag::Healthy } else { RISING[index - 1] };
-        Some(self.below[index].evidence(config.threshold_lpm(flag)))
+        Some(self.below[index].evidence(Grounds::BelowThreshold, Some(config.threshold_lpm(flag))))
     }
 
     /// A cycle that could not be used.
@@ -292,10 +306,8 @@ impl Alarm {
     pub fn lost(&mut self, reason: &'static str) -> Option<Change> {
         let from = self.flag();
         self.reason = Some(reason);
-        // Cycles before and after a loss do not make a row.
-        self.above = [Run::default(); 3];
-        self.below = [Run::default(); 3];
         let evidence = Evidence {
+            grounds: Grounds::NoEstimate,
             cycles: self.rejected,
             lowest_lpm: None,
             highest_lpm: None,
@@ -341,7 +353,7 @@ mod tests {
         let hovering = [0.29, 0.25, 0.31, 0.27, 0.26, 0.29, 0.25];
         let (alarm, changes) = run(&[&raised[..], &hovering[..]].concat());
         assert_eq!(alarm.flag(), Flag::Watch);
-        assert_eq!(changes.len(), 2);
+        assert_eq!(changes, [(2, Flag::NoEstimate, Flag::Watch)]);
     }
 
     #[test]
@@ -397,5 +409,61 @@ mod tests {
         );
         let change = alarm.estimated(&config, 0.7).unwrap();
         assert_eq!((change.from, change.to), (Flag::NoEstimate, Flag::Leak));
+    }
+
+    /// Two good cycles of five, whatever the rest's reason: the largest leak is told, and `healthy` never is.
+    #[test]
+    fn a_lossy_input_hides_no_leak() {
+        let config = AlarmConfig::default();
+        for pattern in ["GGLLL", "GLLLL", "LLGLL", "GLGLL", "G"] {
+            let mut alarm = Alarm::default();
+            let mut flags = Vec::new();
+            for cycle in pattern.repeat(6).chars() {
+                if cycle == 'G' {
+                    alarm.estimated(&config, 53.0);
+                } else {
+                    alarm.rejected(&config, "gap");
+                }
+                flags.push(alarm.flag());
+            }
+            assert_eq!(alarm.highest(), Flag::Severe, "{pattern}");
+            assert!(!flags.contains(&Flag::Healthy), "{pattern}: {flags:?}");
+        }
+    }
+
+    #[test]
+    fn an_estimate_above_a_threshold_does_not_end_ignorance_in_healthy() {
+        let config = AlarmConfig::default();
+        let mut alarm = Alarm::default();
+        assert_eq!(alarm.estimated(&config, 0.4), None);
+        assert_eq!((alarm.flag(), alarm.reason()), (Flag::NoEstimate, Some(UNCONFIRMED)));
+        // One below the threshold does.
+        let change = alarm.estimated(&config, 0.2).unwrap();
+        assert_eq!((change.from, change.to), (Flag::NoEstimate, Flag::Healthy));
+        // A known level stands while estimates come back.
+        let (mut alarm, _) = run(&[0.4, 0.4, 0.4]);
+        (0..3).for_each(|_| drop(alarm.rejected(&config, "gap")));
+        assert_eq!(alarm.estimated(&config, 53.0).unwrap().to, Flag::Watch);
+    }
+
+    #[test]
+    fn a_flag_names_what_raised_it() {
+        let config = AlarmConfig::default();
+        let told = |flows: &[(f64, bool)]| {
+            let mut alarm = Alarm::default();
+            let changes =
+                flows.iter().filter_map(|(flow, found)| alarm.estimated_with(&config, *flow, *found));
+            changes.last().unwrap().evidence.to_string()
+        };
+        assert_eq!(
+            told(&[(0.098, true), (0.11, true), (0.1, true)]),
+            "the sum over cycles finds more leakage than at the baseline, 3 cycles at 0.098 … 0.110 L/min"
+        );
+        assert_eq!(told(&[(0.4, false); 3]), "3 cycles at 0.400 … 0.400 L/min, threshold 0.3 L/min");
+        // Above the threshold it is the threshold, whatever the sums say besides.
+        assert_eq!(told(&[(0.4, true); 3]), "3 cycles at 0.400 … 0.400 L/min, threshold 0.3 L/min");
+        assert_eq!(told(&[(0.1, false)]), "1 cycle at 0.100 L/min");
+        let gone = [&[(0.4, false); 3][..], &[(0.1, false); 5]].concat();
+        assert_eq!(told(&gone), "5 cycles at 0.100 … 0.100 L/min, below the threshold of 0.3 L/min");
     }
 }

@@ -1,6 +1,7 @@
 //! What the pipeline says, in the form in which programs read it.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Serialize, Serializer};
@@ -156,6 +157,8 @@ impl CycleLine<'_> {
 /// What a change of flag is based on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Evidence {
+    /// What has decided.
+    pub grounds: Grounds,
     /// Cycles in a row that agree.
     pub cycles: u32,
     /// Smallest flow among them, L/min.
@@ -166,6 +169,50 @@ pub struct Evidence {
     pub threshold_lpm: Option<f64>,
     /// Why there is no estimate.
     pub reason: Option<&'static str>,
+}
+
+/// What decided a change of flag.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Grounds {
+    /// Estimates at or above the flag's threshold.
+    AboveThreshold,
+    /// The sums over cycles, which find leaks below the threshold.
+    SumOverCycles,
+    /// Estimates below a share of the former flag's threshold.
+    BelowThreshold,
+    /// There is an estimate again.
+    Estimate,
+    /// There is none any more.
+    NoEstimate,
+}
+
+impl fmt::Display for Evidence {
+    /// The grounds in words, without a full stop.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(reason) = self.reason {
+            return f.write_str(&reason.replace('_', " "));
+        }
+        if self.grounds == Grounds::SumOverCycles {
+            f.write_str("the sum over cycles finds more leakage than at the baseline, ")?;
+        }
+        match self.cycles {
+            1 => f.write_str("1 cycle at ")?,
+            cycles => write!(f, "{cycles} cycles at ")?,
+        }
+        let (low, high) = (self.lowest_lpm.unwrap_or(0.0), self.highest_lpm.unwrap_or(0.0));
+        if self.cycles > 1 {
+            write!(f, "{low:.3} … ")?;
+        }
+        write!(f, "{high:.3} L/min")?;
+        match (self.grounds, self.threshold_lpm) {
+            (Grounds::AboveThreshold, Some(threshold)) => write!(f, ", threshold {threshold} L/min"),
+            (Grounds::BelowThreshold, Some(threshold)) => {
+                write!(f, ", below the threshold of {threshold} L/min")
+            }
+            _ => Ok(()),
+        }
+    }
 }
 
 /// `seepd.event/1`: a raise, a clear or a loss of estimate.
@@ -187,6 +234,8 @@ pub struct FlagEvent<'a> {
     pub t_ns: i64,
     /// On what grounds.
     pub evidence: Evidence,
+    /// The grounds in words.
+    pub text: String,
 }
 
 /// What a notice is about.

@@ -194,11 +194,11 @@ impl Files {
             EventSink::new(output.create()?).map_err(|error| Failure::writing(output.path(), error))
         };
         let csv = csv.map(|output| output.create()).transpose()?;
-        let healthy_below_lpm = config.alarm.clear_share * config.alarm.watch_lpm;
+        let before_below_lpm = config.alarm.clear_share * config.alarm.watch_lpm;
         Ok(Files {
             csv: csv.map(|file| CsvSink::new(file, DutyCycle::feature_names(duty_cycles))),
             mcap: mcap.as_ref().map(event_sink).transpose()?,
-            html: html.map(|output| (output, HtmlSink::new(duty_cycles, healthy_below_lpm))),
+            html: html.map(|output| (output, HtmlSink::new(duty_cycles, before_below_lpm))),
         })
     }
 

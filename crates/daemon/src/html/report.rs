@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use super::chart::{Axis, Chart, Layer, Size};
 use super::flags::{self, colour};
 use super::page;
-use crate::alarm::AlarmConfig;
+use crate::alarm::{AlarmConfig, UNCONFIRMED};
 use crate::baseline::Baseline;
 use crate::event::{Flag, Summary};
 use crate::sink::html::{Curves, HtmlSink, Point, Why};
@@ -93,6 +93,9 @@ impl ReportPage<'_> {
         let flag = summary.flag;
         let why = summary.reason.map(|reason| format!(": {}", reason.replace('_', " "))).unwrap_or_default();
         let text = match flag {
+            Flag::NoEstimate if summary.reason == Some(UNCONFIRMED) => {
+                "There are too few estimates above a threshold in a row to raise a flag.".into()
+            }
             Flag::NoEstimate => format!("There is no estimate{why}."),
             Flag::Healthy => "No leak that matters.".into(),
             Flag::Watch => "A leak to keep an eye on.".into(),
@@ -110,16 +113,19 @@ impl ReportPage<'_> {
     fn tiles(&self) -> Markup {
         let summary = self.summary;
         let rejected: u64 = summary.rejected.values().sum();
-        let interval = self.points().last().map(|point| point.interval_m2);
+        let last = self.points().last();
         html! {
             div.tiles {
                 @if let (Some(area), Some(flow), Some(loss)) = (summary.leak_area_m2, summary.leak_flow_lpm, summary.loss) {
                     div { b { (format!("{flow:.2} L/min")) } span { "leak at " (self.mpa()) " MPa (median of the last cycles)" } }
-                    div { b { (format!("{area:.2e} m²")) } span { "leak area"
-                        @if let Some([low, high]) = interval { (format!("; last cycle {low:.1e} … {high:.1e}")) } } }
+                    div { b { (format!("{area:.2e} m²")) } span { "the same as an area" } }
                     div { b { (format!("{:.0} W", loss.leak_power_w)) } span { "hydraulic power lost, Δp · Q at " (self.mpa()) " MPa" } }
                     div { b { (format!("{:.0} kWh a year", loss.leak_energy_kwh_per_year)) }
                         span { "at " (self.operating_hours_per_year) " hours a year" } }
+                }
+                @if let Some(last) = last {
+                    div { b { (format!("{:.2} L/min", last.leak_flow_lpm)) } span { "last cycle; 90 % interval "
+                        (format!("{:.2} … {:.2}", self.flow_lpm(last.interval_m2[0]), self.flow_lpm(last.interval_m2[1]))) } }
                 }
                 div { b { (summary.cycles) } span { "cycles with an estimate, " (rejected) " rejected" } }
                 div { b { (duration_text(summary.duration_s)) } span { (self.record.logs.len()) " log" @if self.record.logs.len() != 1 { "s" }
@@ -129,7 +135,8 @@ impl ReportPage<'_> {
     }
 
     fn command(&self, curves: &Curves) -> Markup {
-        let name = if curves.healthy { "healthy" } else { "the first cycles" };
+        let below = format!("below {:.2} L/min", self.record.before_below_lpm);
+        let name = if curves.is_below { format!("first cycles {below}") } else { "first cycles".to_owned() };
         let all = || curves.before.iter().chain(&curves.now);
         let limit = all().map(|point| point.1.abs()).fold(0.05, f64::max) * 1.05;
         let end = all().map(|point| point.0).fold(0.1, f64::max);
@@ -169,12 +176,16 @@ impl ReportPage<'_> {
             )
         };
         html! {
-            h2 { "The command, " (name) " and now" }
+            h2 { "The command, then and now" }
             p.soft { @if let Some(name) = &self.record.drawn { "Cycles of the duty cycle " (name) ". " } "The controller fights the leak: in the holds the valve stays open, and strokes need more or less of it."
-                @if !curves.healthy { " No cycle of this record was healthy; the last cycles stand beside the first." } }
+                @if !curves.is_below { " No cycle of this record has an estimate " (below) "; the last cycles stand beside the first." } }
             (both.render())
             (apart.render())
         }
+    }
+
+    fn flow_lpm(&self, area_m2: f64) -> f64 {
+        area_m2 / self.area_m2_per_lpm
     }
 
     /// Where each log but the first begins.
@@ -184,7 +195,7 @@ impl ReportPage<'_> {
     }
 
     fn leak_chart(&self) -> Chart {
-        let flow = |area: f64| area / self.area_m2_per_lpm;
+        let flow = |area_m2| self.flow_lpm(area_m2);
         let at = |point: &Point| point.cycle as f64;
         let highest = self.points().map(|p| flow(p.interval_m2[1])).fold(self.alarm.severe_lpm, f64::max);
         let limit = |name: &str, at, flag| Layer::Limit {

@@ -270,6 +270,7 @@ impl Progress {
             cycle: self.cycle,
             t_s: self.seconds(at_ns),
             t_ns: at_ns,
+            text: change.evidence.to_string(),
             evidence: change.evidence,
         })
     }

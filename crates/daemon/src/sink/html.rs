@@ -9,7 +9,7 @@ use crate::pipeline::DutyCycle;
 
 /// Points of a cycle's curve.
 pub const CURVE_BINS: usize = 400;
-/// Cycles whose mean is the healthy curve, and the present one.
+/// Cycles whose mean is the earlier curve, and the present one.
 pub const CURVE_CYCLES: usize = 5;
 /// Cycles that are kept for the charts; of longer records every second, fourth … is.
 const POINTS_KEPT: usize = 2000;
@@ -109,12 +109,13 @@ pub struct HtmlSink {
     pub drawn: Option<String>,
     /// Names of the features, in the points' order.
     pub feature_names: Vec<String>,
-    healthy_below_lpm: f64,
+    /// Cycles with an estimate below this flow, L/min, are drawn as those before.
+    pub before_below_lpm: f64,
     ring: VecDeque<(i64, f32)>,
     ring_samples: usize,
-    /// Mean command of the first healthy cycles, in bins over the period, and how many they are.
-    healthy: Mean,
-    /// The same of the first cycles of any condition.
+    /// Mean command of the first cycles below that flow, in bins over the period, and how many they are.
+    below: Mean,
+    /// The same of the first cycles with any estimate.
     first: Mean,
     recent: VecDeque<Vec<f32>>,
     /// Cycles for the charts.
@@ -133,9 +134,9 @@ pub struct HtmlSink {
 }
 
 impl HtmlSink {
-    /// A collector. Cycles with an estimate below the flow count as healthy: flags need a few cycles to rise, so that they do not
-    /// tell of the first ones. Of several duty cycles the first one's command is drawn.
-    pub fn new(duty_cycles: &[DutyCycle<'_>], healthy_below_lpm: f64) -> Self {
+    /// A collector that draws the present command beside the first cycles with an estimate below a flow, L/min; flags need a few cycles to
+    /// rise, so that they do not tell of the first ones. Of several duty cycles the first one's command is drawn.
+    pub fn new(duty_cycles: &[DutyCycle<'_>], before_below_lpm: f64) -> Self {
         let first = duty_cycles.first().map(|first| first.model.file());
         let rate_hz = first.map_or(0.0, |first| first.sample_rate_hz);
         let ring_samples = (PERIODS_HELD * DutyCycle::longest_period_s(duty_cycles) * rate_hz) as usize;
@@ -143,10 +144,10 @@ impl HtmlSink {
             period_s: first.map_or(1.0, |first| first.cycle.period_s),
             drawn: duty_cycles.first().and_then(|first| first.name).map(str::to_owned),
             feature_names: DutyCycle::feature_names(duty_cycles),
-            healthy_below_lpm,
+            before_below_lpm,
             ring: VecDeque::with_capacity(ring_samples),
             ring_samples,
-            healthy: Mean::default(),
+            below: Mean::default(),
             first: Mean::default(),
             recent: VecDeque::new(),
             points: Thinned::new(POINTS_KEPT),
@@ -236,8 +237,8 @@ impl HtmlSink {
     fn draw(&mut self, line: &CycleLine<'_>, leak_flow_lpm: f64) {
         let curve = self.curve(line);
         self.first.add(&curve);
-        if leak_flow_lpm < self.healthy_below_lpm {
-            self.healthy.add(&curve);
+        if leak_flow_lpm < self.before_below_lpm {
+            self.below.add(&curve);
         }
         if self.recent.len() == CURVE_CYCLES {
             self.recent.pop_front();
@@ -272,42 +273,29 @@ impl HtmlSink {
         if self.changes.len() >= CHANGES_KEPT {
             return;
         }
-        let evidence = &event.evidence;
-        let grounds =
-            match (evidence.reason, evidence.lowest_lpm, evidence.highest_lpm, evidence.threshold_lpm) {
-                (Some(reason), ..) => reason.replace('_', " "),
-                (_, Some(low), Some(high), Some(threshold)) => {
-                    format!(
-                        "{} cycles at {low:.2} … {high:.2} L/min; threshold {threshold} L/min",
-                        evidence.cycles
-                    )
-                }
-                _ if evidence.cycles == 1 => "a cycle with an estimate".into(),
-                _ => format!("{} cycles in a row", evidence.cycles),
-            };
         self.changes.push(Change {
             cycle: event.cycle,
             t_s: event.t_s,
             t_ns: event.t_ns,
             from: event.flag_from,
             to: event.flag_to,
-            grounds,
+            grounds: event.text.clone(),
         });
     }
 
-    /// The command of the first healthy cycles, of the last cycles, and whether the former were healthy: time in the cycle, s,
-    /// and command. `None` without a cycle.
+    /// The command of the first cycles, below the flow if there are any, and of the last ones: time in the cycle, s, and command. `None`
+    /// without a cycle.
     pub fn curves(&self) -> Option<Curves> {
         let mut now = Mean::default();
         for curve in &self.recent {
             now.add(curve);
         }
-        let healthy = self.healthy.cycles > 0;
-        let before = if healthy { &self.healthy } else { &self.first };
+        let is_below = self.below.cycles > 0;
+        let before = if is_below { &self.below } else { &self.first };
         (now.cycles > 0).then(|| Curves {
             before: before.points(self.period_s),
             now: now.points(self.period_s),
-            healthy,
+            is_below,
             cycles: (before.cycles, now.cycles),
         })
     }
@@ -320,8 +308,8 @@ pub struct Curves {
     pub before: Vec<(f64, f64)>,
     /// The last ones.
     pub now: Vec<(f64, f64)>,
-    /// Whether the first ones were healthy.
-    pub healthy: bool,
+    /// Whether the first ones have estimates below the flow.
+    pub is_below: bool,
     /// How many cycles each is the mean of.
     pub cycles: (usize, usize),
 }

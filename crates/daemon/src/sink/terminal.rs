@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 use std::path::Path;
 
+use crate::alarm::UNCONFIRMED;
 use crate::event::{CycleLine, Event, Flag, FlagEvent, Summary};
 use crate::failure::Failure;
 use crate::sink::plain;
@@ -108,28 +109,15 @@ fn write_cycle(out: &mut impl Write, line: &CycleLine<'_>, colour: Colour) -> io
 }
 
 fn write_flag(out: &mut impl Write, event: &FlagEvent<'_>, colour: Colour) -> io::Result<()> {
-    let evidence = &event.evidence;
-    write!(
+    writeln!(
         out,
-        "{:>6} {:>10.3}  {} → {}",
+        "{:>6} {:>10.3}  {} → {}: {}",
         "▸",
         event.t_s,
         event.flag_from.name(),
-        colour.paint(event.flag_to, event.flag_to.name())
-    )?;
-    if let Some(reason) = evidence.reason {
-        write!(out, ": {reason}")?;
-    }
-    if let (Some(low), Some(high), Some(threshold)) =
-        (evidence.lowest_lpm, evidence.highest_lpm, evidence.threshold_lpm)
-    {
-        write!(
-            out,
-            ": {} cycles at {low:.3} … {high:.3} L/min, threshold {threshold} L/min",
-            evidence.cycles
-        )?;
-    }
-    writeln!(out)
+        colour.paint(event.flag_to, event.flag_to.name()),
+        event.text
+    )
 }
 
 /// Writes the summary.
@@ -150,8 +138,10 @@ pub fn write_summary(out: &mut impl Write, summary: &Summary, colour: Colour) ->
     if rejected > 0 {
         write!(out, ", {rejected} rejected ({})", listed(&summary.rejected))?;
     }
-    if let Some(reason) = summary.reason {
-        write!(out, "; no estimate: {reason}")?;
+    match summary.reason {
+        Some(UNCONFIRMED) => write!(out, "; too few estimates above a threshold in a row to raise a flag")?,
+        Some(reason) => write!(out, "; no estimate: {reason}")?,
+        None => {}
     }
     writeln!(out)?;
     if let (Some(area), Some(flow)) = (summary.leak_area_m2, summary.leak_flow_lpm) {

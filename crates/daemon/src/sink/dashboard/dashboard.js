@@ -4,7 +4,7 @@ const byId = (id) => document.getElementById(id);
 const LIVE_S = 30;
 const FLAGS = { no_estimate: "no estimate", healthy: "healthy", watch: "watch", leak: "leak", severe: "severe" };
 const REASONS = {
-  no_cycle_yet: "no complete cycle yet", stale: "no command comes", stuck: "the command stands still",
+  no_cycle_yet: "no complete cycle yet", unconfirmed: "too few estimates above a threshold in a row", stale: "no command comes", stuck: "the command stands still",
   no_cycle_found: "no duty cycle is found in the command", wrong_rate: "the command comes at another rate than the model's",
   unusable_configuration: "this axis cannot be started",
 };
@@ -191,8 +191,7 @@ function eventItem(event) {
   const item = document.createElement("li");
   const time = event.published_at ? new Date(event.published_at).toLocaleString() : "clock not set";
   const what = {
-    "seepd.event/1": () => FLAGS[event.flag_from] + " → " + FLAGS[event.flag_to]
-      + (event.evidence.reason ? " (" + told(event.evidence.reason) + ")" : ""),
+    "seepd.event/1": () => FLAGS[event.flag_from] + " → " + FLAGS[event.flag_to] + " (" + event.text + ")",
     "seepd.notice/1": () => event.text,
     "seepd.acknowledged/1": () => "acknowledged " + (event.latched ? FLAGS[event.latched] : ""),
     "seepd.test/1": () => "test alarm",
