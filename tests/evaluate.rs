@@ -189,3 +189,23 @@ fn missing_truth_and_wrong_limits_are_one_line_each() {
         }
     }
 }
+
+#[test]
+fn a_baseline_that_was_learned_from_a_leak_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let worn = log(folder.path(), "worn.mcap", &["--cycles", "26", "--leak-area", "1e-7"]);
+    let arguments = ["evaluate", "--json", "--learn-cycles", "20", worn.to_str().unwrap()];
+    let output = seepd(arguments);
+    let told: Value = serde_json::from_str(&stdout(&output)).unwrap();
+    assert_eq!(told["learned_while_leaking"], 1);
+    // 1e-7 m² at 7 MPa are 0.53 L/min.
+    assert!(
+        stderr(&output).contains("its baseline was learned while the truth was a leak of up to 0.53"),
+        "{}",
+        stderr(&output)
+    );
+    // A leak that begins after the baseline is what a baseline is for.
+    let later = log(folder.path(), "later.mcap", &["--cycles", "26", "--leak-step", "1e-7@21"]);
+    let told = evaluate(&[&later], &["--learn-cycles", "20"]);
+    assert_eq!(told["learned_while_leaking"], 0);
+}

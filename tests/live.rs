@@ -804,7 +804,7 @@ fn configurations_that_cannot_work_are_refused_before_the_start() {
         ("axis = \"..\"\n", "axis is `..`"),
         ("axis = \"-a\"\n", "axis is `-a`"),
         ("axis = \"a\\u001b[2J\"\n", "axis is `a\\u{1b}[2J`"),
-        ("[signals.position]\nfield = \"x\"\n", "signals.command is missing"),
+        ("[source]\ncan = \"can0\"\n[signals.position]\nfield = \"x\"\n", "signals.command is missing"),
         ("[[axes]]\naxis = \"a\"\n[[axes]]\naxis = \"a\"\n", "two axes are called `a`"),
         ("axis = \"x\"\n[[axes]]\naxis = \"a\"\n", "at its top"),
         ("[[axes]]\naxis = \"a\"\n[axes.http]\n", "stand at the file's top"),

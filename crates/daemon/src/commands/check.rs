@@ -173,6 +173,13 @@ fn check_configuration(path: &Path) -> Result<Good, Failure> {
         if axis.dbc.is_some() || axis.source.can.is_some() {
             frame_decoder(axis).map_err(of_axis)?;
         }
+        if axis.signals.is_empty() {
+            warn(&format!(
+                "{}: axis {}: no signal is mapped; each is looked for under its own name, in MCAP logs on the one topic that ends in /signals",
+                path.display(),
+                axis.axis
+            ));
+        }
         axes.push(format!(
             "axis {}, {} mapped signals, {}",
             axis.axis,

@@ -128,6 +128,7 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
         arguments.baseline.apply(&mut pipeline, &config)?;
         let mut record = estimate(logs, &config, &mut pipeline, &bar)?;
         lay_truth_beside(&mut record, logs, arguments, &config, &conditions, &bar)?;
+        warn_of_leaking_baseline(&record, &conditions);
         records.push(record);
     }
     bar.finish_and_clear();
@@ -211,6 +212,20 @@ fn truth_topic(config: &Config) -> String {
     let named = config.mapping().into_iter().find(|(signal, _)| *signal == Signal::Command);
     let axis = named.and_then(|(_, mapping)| Some(mapping.topic.strip_suffix("/signals")?.to_owned()));
     format!("{}/truth", axis.unwrap_or_else(|| "*".into()))
+}
+
+/// Tells of a baseline that was learned from a machine that leaked by then: what is relative to it does not count that leak.
+fn warn_of_leaking_baseline(record: &MachineRecord, conditions: &Conditions) {
+    if let Some(leak_m2) = record.leak_while_learning_m2()
+        && conditions.leaked_while_learning(record)
+    {
+        warn(&format!(
+            "{}: its baseline was learned while the truth was a leak of up to {:.3} L/min, which estimates relative to it do not count; \
+             learn it from healthy cycles and name it with --baseline",
+            record.name,
+            leak_m2 * conditions.lpm_per_m2
+        ));
+    }
 }
 
 fn nothing_to_judge(evaluation: &Evaluation) -> Failure {

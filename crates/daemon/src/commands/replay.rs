@@ -61,7 +61,7 @@ pub struct ReplayArguments {
     /// Pressure difference at which leaks are given as flows, MPa
     #[arg(long, value_name = "MPA")]
     reference_mpa: Option<f64>,
-    /// Exit with 1 if a flag rose above healthy
+    /// Exit with 1 if a flag rose above healthy, with 65 if there were too few estimates for any flag
     #[arg(long)]
     fail_on_fault: bool,
     #[command(flatten)]
@@ -128,8 +128,21 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
             models[0].model.file().sample_rate_hz
         )));
     }
-    let fault = summary.highest_flag >= Flag::Watch;
-    Ok(if arguments.fail_on_fault && fault { Outcome::Finding } else { Outcome::Good })
+    if !arguments.fail_on_fault {
+        return Ok(Outcome::Good);
+    }
+    match summary.highest_flag {
+        Flag::NoEstimate => {
+            let rejected =
+                if summary.rejected.is_empty() { "none".into() } else { terminal::listed(&summary.rejected) };
+            Err(Failure::data(format!(
+                "whether there is a fault cannot be told: {} cycles with an estimate are too few for a flag (rejected: {rejected})",
+                summary.cycles
+            )))
+        }
+        Flag::Healthy => Ok(Outcome::Good),
+        Flag::Watch | Flag::Leak | Flag::Severe => Ok(Outcome::Finding),
+    }
 }
 
 fn replay_logs(

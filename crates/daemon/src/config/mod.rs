@@ -287,6 +287,12 @@ impl Config {
             }
         }
         self.check_fields()?;
+        if !self.signals.is_empty() && !self.signals.contains_key(&Signal::Command) {
+            return Err(
+                "signals.command is missing: the other signals are read beside the command, not without it"
+                    .into(),
+            );
+        }
         let learned = self.baseline.learn_cycles;
         if learned != 0 && !(LEAST_CYCLES..=MOST_CYCLES).contains(&learned) {
             return Err(format!(
@@ -405,7 +411,8 @@ impl Config {
     /// The models in force, one a duty cycle.
     ///
     /// # Errors
-    /// [`Failure`] where a file cannot be read or is no model, or where models read at different rates.
+    /// [`Failure`] where a file cannot be read or is no model, where models read at different rates, or where a baseline is asked for
+    /// and a model cannot compare with one.
     pub fn load_models(&self) -> Result<Vec<NamedModel>, Failure> {
         let models = self.read_models()?;
         for (named, baseline) in models.iter().zip(self.baseline_files()) {

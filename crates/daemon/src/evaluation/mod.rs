@@ -31,6 +31,13 @@ pub struct Conditions {
     pub within_cycles: usize,
 }
 
+impl Conditions {
+    /// Whether the machine leaked while its baseline was learned.
+    pub fn leaked_while_learning(&self, record: &MachineRecord) -> bool {
+        record.leak_while_learning_m2().is_some_and(|leak_m2| leak_m2 * self.lpm_per_m2 > self.onset_lpm)
+    }
+}
+
 /// `seepd.evaluation/1`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Evaluation {
@@ -45,6 +52,8 @@ pub struct Evaluation {
     pub cycles: usize,
     /// Cycles of which the truth is not known: they are in none of the figures.
     pub without_truth: usize,
+    /// Machines whose baseline was learned from cycles that the truth calls leaking: their estimates count from there.
+    pub learned_while_leaking: usize,
     /// Cycles without an estimate, by reason.
     pub rejected: BTreeMap<&'static str, u64>,
     /// Sizes, by method.
@@ -69,6 +78,10 @@ impl Evaluation {
             machines: records.len(),
             cycles: cycles().count(),
             without_truth: cycles().filter(|cycle| cycle.truth_m2().is_none()).count(),
+            learned_while_leaking: records
+                .iter()
+                .filter(|record| conditions.leaked_while_learning(record))
+                .count(),
             rejected,
             sizes: Method::ALL.iter().filter_map(|method| Sizes::of(records, *method, &conditions)).collect(),
             detection: Detector::ALL

@@ -114,6 +114,13 @@ impl MachineRecord {
         }
     }
 
+    /// Largest leak that the truth knows of the cycles before the first one that was compared with a baseline, m²: those that the baseline
+    /// was learned from. `None` where nothing was learned on the way, or the truth says nothing of them.
+    pub fn leak_while_learning_m2(&self) -> Option<f64> {
+        let first = self.cycles.iter().position(|cycle| cycle.compared.is_some())?;
+        self.cycles[..first].iter().filter_map(CycleRecord::truth_m2).reduce(f64::max)
+    }
+
     /// Takes the true leak area at a time, m². What lies within no cycle, or is no area, is left out.
     pub fn take_truth(&mut self, time_ns: i64, leak_area_m2: f64) {
         if !(leak_area_m2.is_finite() && leak_area_m2 >= 0.0) {
