@@ -19,6 +19,7 @@ pub mod live;
 pub mod output;
 pub mod pipeline;
 mod progress;
+mod side_file;
 pub mod sink;
 pub mod source;
 

@@ -8,13 +8,13 @@ pub mod follower;
 pub mod learner;
 pub mod trend;
 
-use std::fs;
 use std::path::Path;
 
 use seepd_model::{Model, Relative};
 use serde::{Deserialize, Serialize};
 
 use crate::failure::Failure;
+use crate::side_file;
 
 pub use drift::{Drift, Finding};
 pub use follower::{Follower, LoadKnowledge};
@@ -121,7 +121,7 @@ impl BaselineFile {
     /// # Errors
     /// [`Failure`] with the file's name, of another axis's file too.
     pub fn read(path: &Path, axis: &str, model: &Model) -> Result<Self, Failure> {
-        let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+        let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
         let file = Self::parse(&text, model).map_err(|message| Failure::configuration(path, message))?;
         if file.axis != axis && file.axis != UNNAMED_AXIS && axis != UNNAMED_AXIS {
             let what = format!("is the baseline of axis {}, not of {axis}", file.axis);

@@ -1,7 +1,6 @@
 //! DBC files: which frame carries a signal, and where in it.
 
 use std::collections::HashMap;
-use std::fs;
 use std::path::Path;
 
 use can_dbc::{
@@ -13,6 +12,7 @@ use seepd_settings::nearest;
 use super::bit_field::{BitField, ByteOrder, Encoding};
 use super::{Content, Frame, Identifier};
 use crate::failure::Failure;
+use crate::side_file;
 
 /// A signal of a frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -83,7 +83,7 @@ impl Dbc {
     /// # Errors
     /// [`Failure`] with file and line.
     pub fn read(path: &Path) -> Result<Self, Failure> {
-        let bytes = fs::read(path).map_err(|error| Failure::reading(path, &error))?;
+        let bytes = side_file::read(path).map_err(|error| Failure::reading(path, &error))?;
         Self::parse(&bytes, &path.display().to_string())
             .map_err(|message| Failure::configuration(path, message))
     }

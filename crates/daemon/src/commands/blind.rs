@@ -25,6 +25,7 @@ use crate::config::Config;
 use crate::failure::{Code, Failure};
 use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::progress_bar;
+use crate::side_file;
 use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
 
@@ -338,7 +339,7 @@ fn measured(
     view: View,
     plant: &Path,
 ) -> Result<Option<BTreeMap<String, f64>>, Failure> {
-    let text = fs::read_to_string(plant).map_err(|error| Failure::reading(plant, &error))?;
+    let text = side_file::read_text(plant).map_err(|error| Failure::reading(plant, &error))?;
     let spec = MachineSpec::from_toml(&text).map_err(|error| Failure::configuration(plant, error))?;
     let (log, _) = read(&logs.join(format!("{case}.mcap")), &Config::default(), &spec)?;
     let Ok(record) = Record::new(&view.of(&log), &spec) else { return Ok(None) };
@@ -426,6 +427,6 @@ fn write_json(file: &Output, value: &impl Serialize) -> Result<(), Failure> {
 }
 
 fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Failure> {
-    let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+    let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
     serde_json::from_str(&text).map_err(|error| Failure::data(format!("{}: {error}", path.display())))
 }

@@ -1,6 +1,5 @@
 //! `seepd check`: are these files what the program can use?
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -11,6 +10,7 @@ use crate::cli::Outcome;
 use crate::config::{Config, NamedModel, load_model};
 use crate::failure::{Code, Failure};
 use crate::progress::warn;
+use crate::side_file;
 use crate::sink::terminal::print;
 use crate::source::frame_decoder;
 
@@ -93,7 +93,7 @@ pub fn run(arguments: &CheckArguments) -> Result<Outcome, Failure> {
 
 /// The file's kind, and what it is or what is wrong with it.
 fn check(path: &Path) -> (&'static str, Result<Good, Failure>) {
-    let text = match fs::read(path) {
+    let text = match side_file::read(path) {
         Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
         Err(error) => return ("file", Err(Failure::reading(path, &error))),
     };

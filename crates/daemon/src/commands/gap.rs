@@ -1,6 +1,5 @@
 //! `seepd gap`: where simulator and machine part, and which effect causes it.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -22,6 +21,7 @@ use crate::failure::{Code, Failure};
 use crate::html::gap::GapPage;
 use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::progress_bar;
+use crate::side_file;
 use crate::sink::terminal::print;
 use crate::source;
 
@@ -108,7 +108,7 @@ pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
 
 /// The electric axis of a plant file, if it is one.
 fn electric_axis(path: &Path) -> Result<Option<ElectricAxis>, Failure> {
-    let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+    let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
     let axis = ElectricAxis::is_kind(&text).then(|| ElectricAxis::from_toml(&text)).transpose();
     axis.map_err(|error| Failure::configuration(path, error))
 }

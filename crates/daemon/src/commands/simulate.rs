@@ -1,7 +1,6 @@
 //! `seepd simulate`: the log of a simulated machine.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -17,6 +16,7 @@ use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::output::{Output, OutputFile, Outputs, OverwriteArguments};
 use crate::progress::{progress_bar, warn};
+use crate::side_file;
 use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
 
@@ -155,7 +155,7 @@ pub fn run(arguments: &SimulateArguments) -> Result<Outcome, Failure> {
 /// [`Failure`] with file, line and key.
 pub fn read_plant(path: Option<&Path>) -> Result<MachineSpec, Failure> {
     let Some(path) = path else { return Ok(MachineSpec::default()) };
-    let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+    let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
     if ElectricAxis::is_kind(&text) {
         let what = "an electric axis; only `gap` works with one";
         return Err(Failure::configuration(path, what));

@@ -3,7 +3,6 @@
 mod live;
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use seepd_model::Model;
@@ -14,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::alarm::AlarmConfig;
 use crate::baseline::{LEAST_CYCLES, MOST_CYCLES, UNNAMED_AXIS, relative_of};
 use crate::failure::{Code, Failure};
+use crate::side_file;
 use crate::source::fields::FieldTree;
 
 pub use live::{
@@ -226,7 +226,7 @@ impl Config {
     /// # Errors
     /// [`Failure`] with file, line and key.
     pub fn read(path: &Path) -> Result<Self, Failure> {
-        let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+        let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
         let mut config = Self::parse(&text).map_err(|message| Failure::configuration(path, message))?;
         if let Some(folder) = path.parent() {
             config.resolve(folder);
@@ -522,6 +522,6 @@ fn credential(folder: &Path) -> impl Fn(&mut PathBuf) {
 /// # Errors
 /// [`Failure`] where the file cannot be read or is no model.
 pub fn load_model(path: &Path) -> Result<Model, Failure> {
-    let json = fs::read(path).map_err(|error| Failure::reading(path, &error))?;
+    let json = side_file::read(path).map_err(|error| Failure::reading(path, &error))?;
     Model::from_json(&json).map_err(|error| Failure::configuration(path, error))
 }

@@ -13,6 +13,7 @@ use serde_json::value::RawValue;
 
 use crate::failure::Failure;
 use crate::live::state::write_durably;
+use crate::side_file;
 
 /// Version of the entries that are written.
 const SCHEMA: &str = "seepd.spool/2";
@@ -133,7 +134,7 @@ impl Spool {
     /// The event that has waited longest. Entries that cannot be read are moved aside on the way.
     pub fn first(&mut self) -> Option<(u64, Entry)> {
         while let Some(number) = self.numbers.front().copied() {
-            let read = fs::read(self.path(number)).map_err(|error| error.to_string());
+            let read = side_file::read(&self.path(number)).map_err(|error| error.to_string());
             match read.and_then(|text| Entry::parse(&text)) {
                 Ok(entry) => return Some((number, entry)),
                 Err(message) => self.set_first_aside(number, &message),

@@ -6,7 +6,6 @@
 mod connections;
 
 use std::convert::Infallible;
-use std::fs;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -32,6 +31,7 @@ use crate::config::HttpConfig;
 use crate::failure::Failure;
 use crate::live::clock::{self, Clock};
 use crate::live::hub::{AxisStatus, Hub, NotTaken, Order, SinkStatus};
+use crate::side_file;
 use crate::source::live::SourceState;
 
 /// The dashboard's name among the sinks.
@@ -101,7 +101,7 @@ impl Http {
 /// [`Failure`] where its file cannot be read, or it is too short to be one.
 pub fn token(config: &HttpConfig) -> Result<Option<String>, Failure> {
     let Some(path) = &config.token_file else { return Ok(None) };
-    let text = fs::read_to_string(path).map_err(|error| Failure::reading(path, &error))?;
+    let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
     let token = text.trim().to_owned();
     if token.len() < SHORTEST_TOKEN || !token.chars().all(|c| c.is_ascii_graphic() && c != ';') {
         let what =

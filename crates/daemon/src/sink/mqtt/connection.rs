@@ -1,6 +1,5 @@
 //! A connection to the broker: one form for both versions of the protocol.
 
-use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,6 +13,7 @@ use tokio::task::JoinHandle;
 
 use crate::config::{MqttConfig, MqttVersion};
 use crate::failure::{Code, Failure};
+use crate::side_file;
 
 /// Time after which a silent broker is asked whether it is there.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
@@ -263,7 +263,7 @@ fn qos_5(qos: QoS) -> v5::mqttbytes::QoS {
 /// # Errors
 /// [`Failure`] where one of their files cannot be read.
 pub fn credentials(config: &MqttConfig) -> Result<(Option<String>, Option<Arc<ClientConfig>>), Failure> {
-    let read = |path: &Path| fs::read_to_string(path).map_err(|error| Failure::reading(path, &error));
+    let read = |path: &Path| side_file::read_text(path).map_err(|error| Failure::reading(path, &error));
     let password = config.password_file.as_deref().map(read).transpose()?;
     let password = password.map(|text| text.trim_end_matches(['\r', '\n']).to_owned());
     let tls = if config.tls { Some(Arc::new(tls(config)?)) } else { None };
@@ -285,7 +285,7 @@ fn tls(config: &MqttConfig) -> Result<ClientConfig, Failure> {
         .with_root_certificates(roots);
     match (&config.certificate_file, &config.key_file) {
         (Some(certificate), Some(key)) => {
-            let pem = fs::read(key).map_err(|error| Failure::reading(key, &error))?;
+            let pem = side_file::read(key).map_err(|error| Failure::reading(key, &error))?;
             let private = PrivateKeyDer::from_pem_slice(&pem).map_err(|error| bad(key, error.to_string()))?;
             builder
                 .with_client_auth_cert(certificates(certificate)?, private)
@@ -296,7 +296,7 @@ fn tls(config: &MqttConfig) -> Result<ClientConfig, Failure> {
 }
 
 fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, Failure> {
-    let pem = fs::read(path).map_err(|error| Failure::reading(path, &error))?;
+    let pem = side_file::read(path).map_err(|error| Failure::reading(path, &error))?;
     CertificateDer::pem_slice_iter(&pem)
         .collect::<Result<Vec<_>, _>>()
         .map_err(|error| Failure::configuration(path, format!("is no PEM file of certificates: {error}")))
