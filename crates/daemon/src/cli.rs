@@ -14,7 +14,7 @@ use crate::progress::warn;
 #[command(name = "seepd", version, about, propagate_version = true, max_term_width = 100)]
 #[command(
     after_help = "Exit codes: 0 good, 1 a finding (with --fail-on-fault), 64 usage, 65 unreadable data, \
-                        66 no input, 70 internal, 74 input/output, 78 configuration.\n\n\
+                        66 no input, 70 internal, 74 input/output, 75 held by another process, 78 configuration.\n\n\
                         Example: seepd replay press-1.mcap"
 )]
 struct Arguments {

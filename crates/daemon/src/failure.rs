@@ -22,6 +22,8 @@ pub enum Code {
     Internal = 70,
     /// Reading or writing failed.
     Io = 74,
+    /// Another process holds what is needed; later it may be free.
+    Temporary = 75,
     /// A configuration, plant or model file that is wrong.
     Configuration = 78,
 }

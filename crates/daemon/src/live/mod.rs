@@ -183,6 +183,8 @@ struct Daemon {
     unsaved: Option<String>,
     axes: Vec<RunningAxis>,
     sinks: Vec<RunningSink>,
+    /// Sinks that could not be started, which are tried again.
+    unstarted: Vec<SinkConfig>,
     recorder: watch::Sender<Option<Recorder>>,
     watchdog: Watchdog,
     /// Trends of an earlier run, until their axes take them up.
@@ -208,6 +210,7 @@ impl Daemon {
             unsaved: None,
             axes: Vec::new(),
             sinks: Vec::new(),
+            unstarted: Vec::new(),
             recorder: watch::Sender::new(None),
             watchdog: Watchdog::new(),
         })
@@ -288,14 +291,30 @@ impl Daemon {
         self.state_folder.join("spool")
     }
 
-    /// Starts a sink; one that cannot be started is told of, and the others go on.
+    /// Starts a sink; one that cannot be started is told of once and tried again, and the others go on.
     fn start_sink(&mut self, config: SinkConfig) {
         let name = config.name();
-        self.hub.update_sink(&name, |_| {});
-        if let Err(failure) = self.try_start_sink(config, &name) {
-            tracing::error!("{name}: {failure}");
-            self.hub.update_sink(&name, |sink| (sink.good, sink.detail) = (false, failure.message.clone()));
+        let Err(failure) = self.try_start_sink(config.clone(), &name) else {
+            self.hub.update_sink(&name, |sink| sink.good = true);
+            return;
+        };
+        let mut told = false;
+        self.hub.update_sink(&name, |sink| {
+            told = !sink.good && sink.detail == failure.message;
+            (sink.good, sink.detail) = (false, failure.message.clone());
+        });
+        if !told {
+            tracing::error!("{name}: {failure}; tried again every {} s", RETRY_DISK.as_secs());
         }
+        self.unstarted.push(config);
+    }
+
+    /// Tries again what a disk, a folder or a missing file has prevented.
+    async fn retry(&mut self) {
+        if self.unsaved.is_some() {
+            self.write_state().await;
+        }
+        std::mem::take(&mut self.unstarted).into_iter().for_each(|sink| self.start_sink(sink));
     }
 
     fn try_start_sink(&mut self, config: SinkConfig, name: &str) -> Result<(), Failure> {
@@ -347,7 +366,7 @@ impl Daemon {
                 _ = reload.recv() => self.reload(path).await,
                 Some(event) = events.recv() => self.record(&event),
                 _ = kept.changed() => self.write_state().await,
-                _ = retry.tick(), if self.unsaved.is_some() => self.write_state().await,
+                _ = retry.tick() => self.retry().await,
                 _ = trend.tick() => self.write_trends().await,
                 _ = watch.tick() => {
                     if self.watchdog.every.is_some() {
@@ -469,6 +488,9 @@ impl Daemon {
         self.sinks = stay;
         for sink in go {
             self.end_sink(sink).await;
+        }
+        for sink in std::mem::take(&mut self.unstarted) {
+            self.hub.remove_sink(&sink.name());
         }
         for sink in sinks {
             if !self.sinks.iter().any(|running| running.config == sink) {
@@ -607,6 +629,6 @@ fn axis_files(config: &Config) -> impl Iterator<Item = &PathBuf> {
 }
 
 /// A name that no other run has: 64 random bits, which the standard library takes from the system.
-fn run_name() -> String {
+pub(crate) fn run_name() -> String {
     format!("{:016x}", RandomState::new().hash_one(Clock::start().now_ns()))
 }

@@ -4,8 +4,9 @@
 //! new one. One that cannot be read is set aside under another name, and told of.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -14,14 +15,17 @@ use tokio::sync::watch;
 
 use crate::alarm::{AlarmState, Latch};
 use crate::baseline::Drift;
-use crate::failure::Failure;
+use crate::failure::{Code, Failure};
 use crate::live::hub::TrendPoint;
+use crate::side_file;
 
 /// Version of the file that is written.
 const SCHEMA: &str = "seepd.state/2";
 /// The first one, which had no latch: each axis was its alarm alone.
 const SCHEMA_1: &str = "seepd.state/1";
 const NAME: &str = "state.json";
+/// Held by the process that keeps its state there, and its number.
+const LOCK_NAME: &str = "lock";
 /// The axes' trends, which are for people: written now and then, and begun anew where they cannot be read.
 const TREND_NAME: &str = "trend.json";
 const TREND_SCHEMA: &str = "seepd.trend/1";
@@ -108,26 +112,31 @@ pub fn parse(text: &str) -> Result<BTreeMap<String, AxisState>, String> {
 pub struct Keeper {
     axes: Arc<Mutex<Axes>>,
     changed: watch::Sender<u64>,
+    /// `None` while the folder cannot be written.
+    lock: Arc<Mutex<Option<FolderLock>>>,
 }
 
 impl Keeper {
-    /// Takes up what an earlier run left in a folder, which is made where it is missing.
+    /// Takes up what an earlier run left in a folder, which is made where it is missing. With one that cannot be written the daemon
+    /// goes on, and what is to be kept waits.
     ///
     /// # Errors
-    /// [`Failure`] where the folder cannot be made or the file cannot be read for another reason than its content.
+    /// [`Failure`] where another process keeps its state there.
     pub fn open(folder: &Path) -> Result<Self, Failure> {
-        fs::create_dir_all(folder).map_err(|error| Failure::writing(folder, error))?;
-        let path = folder.join(NAME);
-        let axes = match fs::read(&path) {
-            Ok(bytes) => parse(&String::from_utf8_lossy(&bytes)).unwrap_or_else(|message| {
-                let aside = set_aside(&path);
-                tracing::error!("{}: {message}; kept as {aside}; alarms begin anew", path.display());
-                Axes::new()
-            }),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Axes::new(),
-            Err(error) => return Err(Failure::reading(&path, &error)),
+        let lock = match FolderLock::take(folder) {
+            Ok(lock) => Some(lock),
+            Err(error) if error.kind() == io::ErrorKind::ResourceBusy => {
+                return Err(Failure::new(Code::Temporary, format!("{}: {error}", folder.display())));
+            }
+            // Told of when there is something to keep, and tried again then.
+            Err(_) => None,
         };
-        Ok(Keeper { axes: Arc::new(Mutex::new(axes)), changed: watch::Sender::new(0) })
+        let axes = take_up(&folder.join(NAME), "alarms", |bytes| parse(&String::from_utf8_lossy(bytes)));
+        Ok(Keeper {
+            axes: Arc::new(Mutex::new(axes)),
+            changed: watch::Sender::new(0),
+            lock: Arc::new(Mutex::new(lock)),
+        })
     }
 
     /// What is kept of an axis.
@@ -152,8 +161,13 @@ impl Keeper {
     /// Writes the file.
     ///
     /// # Errors
-    /// Writing failed.
+    /// Writing failed, or another process has taken the folder while this one could not.
     pub fn write(&self, folder: &Path) -> io::Result<()> {
+        let mut lock = self.lock.lock().unwrap_or_else(PoisonError::into_inner);
+        if lock.is_none() {
+            *lock = Some(FolderLock::take(folder)?);
+        }
+        drop(lock);
         let axes = self.axes.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let text = serde_json::to_string_pretty(&StateFile { schema: SCHEMA.into(), axes })?;
         write_durably(&folder.join(NAME), text.as_bytes())
@@ -171,15 +185,57 @@ struct TrendFile {
 
 /// Reads the trends that an earlier run left; none where there are none that can be read.
 pub fn read_trends(folder: &Path) -> Trends {
-    let path = folder.join(TREND_NAME);
-    let Ok(text) = fs::read(&path) else { return Trends::new() };
-    match serde_json::from_slice::<TrendFile>(&text) {
-        Ok(file) if file.schema == TREND_SCHEMA => file.axes,
-        _ => {
-            let aside = set_aside(&path);
-            tracing::warn!("{}: is no file of trends; kept as {aside}", path.display());
-            Trends::new()
+    take_up(&folder.join(TREND_NAME), "trends", |bytes| match serde_json::from_slice::<TrendFile>(bytes) {
+        Ok(file) if file.schema == TREND_SCHEMA => Ok(file.axes),
+        _ => Err("is no file of trends".into()),
+    })
+}
+
+/// What a file holds; nothing where there is none. One that cannot be used is told of and set aside, so that the next finds its place
+/// free.
+fn take_up<T: Default>(path: &Path, what: &str, parse: impl FnOnce(&[u8]) -> Result<T, String>) -> T {
+    let read = match side_file::read(path) {
+        Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
+            return T::default();
         }
+        read => read.map_err(|error| error.to_string()),
+    };
+    read.and_then(|bytes| parse(&bytes)).unwrap_or_else(|message| {
+        let aside = set_aside(path);
+        tracing::error!("{}: {message}; kept as {aside}; {what} begin anew", path.display());
+        T::default()
+    })
+}
+
+/// Keeps other processes from a state folder for as long as it lives; the system lifts it with the process, however that ends.
+struct FolderLock(#[expect(dead_code, reason = "held, not read")] File);
+
+impl FolderLock {
+    /// Takes a folder, which is made where it is missing.
+    ///
+    /// # Errors
+    /// The folder cannot be written, or another process has it ([`io::ErrorKind::ResourceBusy`]).
+    fn take(folder: &Path) -> io::Result<Self> {
+        fs::create_dir_all(folder)?;
+        let path = folder.join(LOCK_NAME);
+        // Neither a link is followed nor a FIFO waited for.
+        let flags = nix::libc::O_NOFOLLOW | nix::libc::O_NONBLOCK;
+        let mut options = File::options();
+        let mut file =
+            options.read(true).write(true).create(true).truncate(false).custom_flags(flags).open(&path)?;
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                let holder = side_file::read_text(&path).unwrap_or_default();
+                let what =
+                    format!("process {} keeps its state there; give each its own state_dir", holder.trim());
+                return Err(io::Error::new(io::ErrorKind::ResourceBusy, what));
+            }
+            Err(TryLockError::Error(error)) => return Err(error),
+        }
+        // The number is for people; on a full disk the lock holds without it.
+        let _ = file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id()));
+        Ok(FolderLock(file))
     }
 }
 
@@ -262,6 +318,7 @@ mod tests {
         let state = AxisState { latch, estimate, duty_cycles, ..AxisState::of_alarm(leaking()) };
         keeper.keep("press", state.clone());
         keeper.write(&folder).unwrap();
+        drop(keeper);
         let again = Keeper::open(&folder).unwrap();
         assert_eq!(again.restored("press"), Some(state));
         assert_eq!(again.restored("other"), None);
@@ -301,6 +358,53 @@ mod tests {
             assert_eq!(Keeper::open(folder.path()).unwrap().restored("press"), None);
             assert!(!path.exists());
         }
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3);
+        // A folder in its place is no state either.
+        fs::create_dir(&path).unwrap();
+        assert_eq!(Keeper::open(folder.path()).unwrap().restored("press"), None);
+        let keeper = Keeper::open(folder.path()).unwrap();
+        keeper.write(folder.path()).unwrap();
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 4 + 2);
+    }
+
+    #[test]
+    fn a_folder_has_one_keeper_and_the_other_hears_whose_it_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let keeper = Keeper::open(folder.path()).unwrap();
+        let refused = Keeper::open(folder.path()).err().unwrap();
+        let holder = format!("process {} keeps its state there", std::process::id());
+        assert!(refused.code == Code::Temporary && refused.message.contains(&holder), "{refused}");
+        drop(keeper);
+        Keeper::open(folder.path()).unwrap();
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_is_waited_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let in_the_way = folder.path().join("state");
+        fs::write(&in_the_way, "a file").unwrap();
+        let keeper = Keeper::open(&in_the_way).unwrap();
+        keeper.keep("press", AxisState::of_alarm(leaking()));
+        keeper.write(&in_the_way).unwrap_err();
+        fs::remove_file(&in_the_way).unwrap();
+        keeper.write(&in_the_way).unwrap();
+        drop(keeper);
+        assert_eq!(
+            Keeper::open(&in_the_way).unwrap().restored("press"),
+            Some(AxisState::of_alarm(leaking()))
+        );
+    }
+
+    #[test]
+    fn links_and_rests_in_the_place_of_the_new_file_are_replaced_and_not_followed() {
+        let folder = tempfile::tempdir().unwrap();
+        let (victim, path) = (folder.path().join("victim"), folder.path().join("000000000001.json"));
+        fs::write(&victim, "precious").unwrap();
+        std::os::unix::fs::symlink(&victim, path.with_extension("new")).unwrap();
+        write_durably(&path, b"event").unwrap();
+        fs::write(path.with_extension("new"), "cut").unwrap();
+        write_durably(&path, b"event 2").unwrap();
+        assert_eq!(fs::read_to_string(&victim).unwrap(), "precious");
+        assert_eq!(fs::read_to_string(&path).unwrap(), "event 2");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
     }
 }
