@@ -1,5 +1,8 @@
 //! `seepd test-sinks`: a marked test alarm through each sink.
 
+use std::fs::{self, DirBuilder};
+use std::io;
+use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,7 +18,7 @@ use crate::event::Flag;
 use crate::failure::{Code, Failure};
 use crate::live::clock::Clock;
 use crate::live::hub::{AxisStatus, Hub, Kind};
-use crate::live::state_folder;
+use crate::live::{run_name, state_folder};
 use crate::sink::can::{self, Layout};
 use crate::sink::mqtt::{self, Broker};
 use crate::sink::recording;
@@ -102,11 +105,11 @@ async fn test_all(config: &Config) -> Vec<Verdict> {
 
 async fn test_mqtt(config: &MqttConfig, axis: &str) -> Result<String, String> {
     let hub = Hub::new("test".into());
-    let folder = tempdir()?;
+    let spool = PrivateFolder::make().map_err(|error| format!("a folder for the test: {error}"))?;
     // A name of its own: a broker drops the older of two clients with one name, and that would be the daemon.
     let client_id = Some(format!("seepd-test-{}", std::process::id()));
     let config = MqttConfig { client_id, ..config.clone() };
-    let broker = Broker::new(&config, &folder, Arc::clone(&hub)).map_err(|failure| failure.message)?;
+    let broker = Broker::new(&config, &spool.0, Arc::clone(&hub)).map_err(|failure| failure.message)?;
     let (stop, stopped) = watch::channel(false);
     let task = tokio::spawn(broker.run_without_presence(stopped));
     tokio::task::yield_now().await;
@@ -124,17 +127,28 @@ async fn test_mqtt(config: &MqttConfig, axis: &str) -> Result<String, String> {
     let last = hub.sinks().into_iter().next().map(|sink| sink.detail).unwrap_or_default();
     stop.send_replace(true);
     let _ = timeout(PATIENCE, task).await;
-    let _ = std::fs::remove_dir_all(&folder);
     match confirmed {
         Ok(()) => Ok(format!("the broker confirmed {}/{axis}/{}", config.prefix, Kind::Test.name())),
         Err(_) => Err(format!("nothing confirmed within {} s: {last}", PATIENCE.as_secs())),
     }
 }
 
-fn tempdir() -> Result<PathBuf, String> {
-    let folder = std::env::temp_dir().join(format!("seepd-test-sinks-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
-    Ok(folder)
+/// A folder that nobody else has made, can foretell or can write into; it goes with the test. Others write into the temporary folder,
+/// and a link that they put there must not be followed, by root least of all.
+struct PrivateFolder(PathBuf);
+
+impl PrivateFolder {
+    fn make() -> io::Result<Self> {
+        let path = std::env::temp_dir().join(format!("seepd-test-sinks-{}", run_name()));
+        DirBuilder::new().mode(0o700).create(&path)?;
+        Ok(PrivateFolder(path))
+    }
+}
+
+impl Drop for PrivateFolder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
 }
 
 fn test_can(config: &CanOutConfig, axis: &str) -> Result<String, String> {
@@ -179,5 +193,21 @@ async fn test_http(config: &HttpConfig) -> Result<String, String> {
             Ok(_) => Ok(format!("{} answers", config.listen)),
             Err(_) => Err(format!("opening {}: {bound}", config.listen)),
         },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::fs::MetadataExt;
+
+    #[test]
+    fn the_test_has_a_folder_of_its_own_that_goes_with_it() {
+        let (one, other) = (PrivateFolder::make().unwrap(), PrivateFolder::make().unwrap());
+        assert_ne!(one.0, other.0);
+        assert_eq!(fs::metadata(&one.0).unwrap().mode() & 0o777, 0o700);
+        let path = one.0.clone();
+        drop(one);
+        assert!(!path.exists());
     }
 }
