@@ -272,7 +272,15 @@ fn another_machine_is_trained_and_read_from_its_plant_file() {
         "--calibration",
         "60",
     ];
-    stdout(&seepd(["train", "--plant", &plant, "--out", &path("model.json")].into_iter().chain(small)));
+    let trained = seepd(["train", "--plant", &plant, "--out", &path("model.json")].into_iter().chain(small));
+    stdout(&trained);
+    // Where there is no terminal, lines say how far it is.
+    let told = stderr(&trained);
+    for stage in ["simulating: ", "searching: ", "comparing: ", "measuring: "] {
+        let lines: Vec<&str> =
+            told.lines().filter(|line| line.starts_with(&format!("seepd: {stage}"))).collect();
+        assert!((1..=21).contains(&lines.len()), "{stage}{told}");
+    }
     let log = folder.path().join("log.mcap");
     for (area, command_only) in [("4e-7", false), ("4e-7", true), ("5e-6", true)] {
         let mut more = vec!["--plant", &plant, "--cycles", "8", "--start-at", "2.5", "--leak-area", area];

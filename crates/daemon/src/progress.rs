@@ -1,12 +1,18 @@
-//! What a person at a terminal sees beside the output: progress, and warnings.
+//! What a person sees beside the output: progress, and warnings.
 
-use std::io::{IsTerminal, Write};
+use std::io::{self, IsTerminal, Read, Seek, SeekFrom, Write};
+#[cfg(feature = "simulate")]
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::sink::plain;
 
-/// A progress bar over steps on a terminal, and nothing elsewhere.
+/// Lines that tell of progress where there is no terminal, at most.
+#[cfg(feature = "simulate")]
+const LINES: u64 = 10;
+
+/// A progress bar over steps on a terminal, and nothing elsewhere: for work of seconds.
 #[cfg(feature = "simulate")]
 pub(crate) fn progress_bar(steps: u64, what: &'static str) -> ProgressBar {
     bar(steps, what, "{msg:>12} [{bar:40}] {pos}/{len} {eta}")
@@ -18,7 +24,7 @@ pub(crate) fn byte_bar(bytes: u64, what: &'static str) -> ProgressBar {
 }
 
 fn bar(length: u64, what: &'static str, template: &str) -> ProgressBar {
-    if !std::io::stderr().is_terminal() {
+    if !io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
     let bar = ProgressBar::new(length).with_message(what);
@@ -28,8 +34,134 @@ fn bar(length: u64, what: &'static str, template: &str) -> ProgressBar {
     }
 }
 
+/// Progress of work that takes minutes: a bar on a terminal, and elsewhere a line a step, or a tenth where there are many.
+#[cfg(feature = "simulate")]
+pub(crate) struct Steps {
+    bar: ProgressBar,
+    what: &'static str,
+    steps: u64,
+    done: AtomicU64,
+}
+
+#[cfg(feature = "simulate")]
+impl Steps {
+    /// Work of so many steps.
+    pub(crate) fn begin(steps: u64, what: &'static str) -> Self {
+        let bar = progress_bar(steps, what);
+        bar.enable_steady_tick(std::time::Duration::from_millis(200));
+        Steps { bar, what, steps, done: AtomicU64::new(0) }
+    }
+
+    /// So many are done in all.
+    pub(crate) fn set(&self, done: u64) {
+        self.bar.set_position(done);
+        let before = self.done.fetch_max(done, Ordering::Relaxed);
+        self.tell(before, done);
+    }
+
+    /// One more is done.
+    pub(crate) fn one_more(&self) {
+        self.bar.inc(1);
+        let before = self.done.fetch_add(1, Ordering::Relaxed);
+        self.tell(before, before + 1);
+    }
+
+    fn tell(&self, before: u64, done: u64) {
+        if is_worth_a_line(self.steps, before, done) && !io::stderr().is_terminal() {
+            warn(&format!("{}: {done} of {} done", self.what, self.steps));
+        }
+    }
+}
+
+#[cfg(feature = "simulate")]
+impl Drop for Steps {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+/// Whether another of the lines is due.
+#[cfg(feature = "simulate")]
+fn is_worth_a_line(steps: u64, before: u64, done: u64) -> bool {
+    let line = |done: u64| done.saturating_mul(LINES.min(steps)) / steps.max(1);
+    line(done) > line(before)
+}
+
+/// A log whose reading moves a bar by the log's length, whatever is read twice or left out.
+pub(crate) struct Counted<R> {
+    input: R,
+    bar: ProgressBar,
+    left: u64,
+}
+
+impl<R> Counted<R> {
+    /// A log of so many bytes.
+    pub(crate) fn new(input: R, bytes: u64, bar: &ProgressBar) -> Self {
+        Counted { input, bar: bar.clone(), left: bytes }
+    }
+
+    fn count(&mut self, bytes: u64) {
+        let bytes = bytes.min(self.left);
+        self.left -= bytes;
+        self.bar.inc(bytes);
+    }
+}
+
+impl<R: Read> Read for Counted<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let bytes = self.input.read(buffer)?;
+        self.count(bytes as u64);
+        Ok(bytes)
+    }
+}
+
+impl<R: Seek> Seek for Counted<R> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.input.seek(to)
+    }
+}
+
+impl<R> Drop for Counted<R> {
+    fn drop(&mut self) {
+        self.count(self.left);
+    }
+}
+
 /// A warning or an error, as one line.
 pub(crate) fn warn(message: &str) {
     // Nobody listens any more where even this cannot be written.
     let _ = writeln!(plain::stderr(), "seepd: {}", plain::one_line(message));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Cursor;
+
+    #[test]
+    fn the_bar_ends_at_its_total_whatever_is_read() {
+        let bar = ProgressBar::hidden();
+        let mut twice = Counted::new(Cursor::new([0; 100]), 100, &bar);
+        let mut end = Vec::new();
+        twice.seek(SeekFrom::End(-30)).unwrap();
+        twice.read_to_end(&mut end).unwrap();
+        assert_eq!(bar.position(), 30);
+        twice.seek(SeekFrom::Start(0)).unwrap();
+        twice.read_to_end(&mut end).unwrap();
+        assert_eq!(bar.position(), 100);
+        // Of the second log only a part is read.
+        let mut part = Counted::new(Cursor::new([0; 50]), 50, &bar);
+        part.read_exact(&mut [0; 20]).unwrap();
+        assert_eq!(bar.position(), 120);
+        drop((twice, part));
+        assert_eq!(bar.position(), 150);
+    }
+
+    #[cfg(feature = "simulate")]
+    #[test]
+    fn few_steps_have_a_line_each_and_many_ten_in_all() {
+        let lines = |steps: u64| (0..steps).filter(|done| is_worth_a_line(steps, *done, done + 1)).count();
+        assert_eq!([1, 4, 7, 10, 11, 1200].map(lines), [1, 4, 7, 10, 10, 10]);
+        assert!(!is_worth_a_line(0, 0, 0) && !is_worth_a_line(4, 2, 2) && is_worth_a_line(1200, 0, 1200));
+    }
 }

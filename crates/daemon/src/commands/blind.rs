@@ -24,7 +24,7 @@ use crate::cli::Outcome;
 use crate::config::Config;
 use crate::failure::{Code, Failure};
 use crate::output::{Output, Outputs, OverwriteArguments};
-use crate::progress::progress_bar;
+use crate::progress::Steps;
 use crate::side_file;
 use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
@@ -189,14 +189,14 @@ fn plant(arguments: &PlantArguments) -> Result<Outcome, Failure> {
     }
     let mut cases = seepd_blind::draw(arguments.seed, arguments.each.into(), arguments.sizes.into());
     cases.truncate(arguments.limit.unwrap_or(cases.len()));
-    let bar = progress_bar(cases.len() as u64, "planting");
+    let steps = Steps::begin(cases.len() as u64, "planting");
     cases.par_iter().try_for_each(|case| {
         let out = in_own_folder(&arguments.logs.join(format!("{}.mcap", case.name)))?;
         write_case(&out, case, arguments.cycles.into())?;
-        bar.inc(1);
+        steps.one_more();
         Ok::<(), Failure>(())
     })?;
-    bar.finish_and_clear();
+    drop(steps);
     let task = Task { without: cases.iter().map(|c| (c.name.clone(), c.without.clone())).collect() };
     write_json(&in_own_folder(&arguments.logs.join(TASK))?, &task)?;
     let truths: BTreeMap<&str, &Truth> = cases.iter().map(|c| (c.name.as_str(), &c.truth)).collect();
@@ -266,12 +266,12 @@ fn diagnose(arguments: &DiagnoseArguments) -> Result<Outcome, Failure> {
     let views = arguments.view.map_or(View::ALL.to_vec(), |view| vec![view]);
     let spec = MachineSpec::default();
     let pool = pool(arguments.threads)?;
-    let bar = progress_bar((task.without.len() * views.len()) as u64, "diagnosing");
+    let steps = Steps::begin((task.without.len() * views.len()) as u64, "diagnosing");
     for (name, without) in &task.without {
         let mut log = None;
         for view in &views {
             let path = arguments.answers.join(format!("{name}.{}.json", view.name()));
-            bar.inc(1);
+            steps.one_more();
             if path.exists() {
                 continue;
             }
@@ -290,7 +290,7 @@ fn diagnose(arguments: &DiagnoseArguments) -> Result<Outcome, Failure> {
             write_json(&in_own_folder(&path)?, &diagnosis)?;
         }
     }
-    bar.finish_and_clear();
+    drop(steps);
     Ok(Outcome::Good)
 }
 

@@ -1,7 +1,7 @@
 //! `seepd gap`: where simulator and machine part, and which effect causes it.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use clap::{Args, Subcommand};
 use seepd_gap::report::{Diagnosis, Verdict};
@@ -20,7 +20,7 @@ use crate::event::LPM_PER_M3_PER_S;
 use crate::failure::{Code, Failure};
 use crate::html::gap::GapPage;
 use crate::output::{Output, Outputs, OverwriteArguments};
-use crate::progress::progress_bar;
+use crate::progress::Steps;
 use crate::side_file;
 use crate::sink::terminal::print;
 use crate::source;
@@ -128,12 +128,11 @@ fn run_on<A: PlantFile>(
     let config = arguments.mapping.load()?;
     let outputs = GapOutputs::claim(arguments, path, &config)?;
     let (log, notes) = read(path, &config, spec)?;
-    let bar = progress_bar(seepd_gap::diagnosis::STEPS as u64, "diagnosing");
-    bar.enable_steady_tick(Duration::from_millis(200));
+    let steps = Steps::begin(seepd_gap::diagnosis::STEPS as u64, "diagnosing");
     let settings = Settings { without: arguments.without.clone(), ..Settings::default() };
     let diagnosed = pool(arguments.threads)?
-        .install(|| answer(&log, spec, &settings, &mut |done| bar.set_position(done as u64)));
-    bar.finish_and_clear();
+        .install(|| answer(&log, spec, &settings, &mut |done| steps.set(done as u64)));
+    drop(steps);
     let (mut diagnosis, machine) =
         diagnosed.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
     diagnosis.notes.extend(notes);

@@ -11,7 +11,7 @@ use clap::Args;
 use crate::can::dbc::Dbc;
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
-use crate::progress::byte_bar;
+use crate::progress::{Counted, byte_bar};
 use crate::sink::plain::{self, one_line};
 use crate::sink::terminal::print;
 use crate::source::survey::{LogSurvey, survey, toml_text};
@@ -82,7 +82,7 @@ pub(super) fn look(
     let file = File::open(place).map_err(|error| Failure::reading(place, &error))?;
     let bytes = file.metadata().map_or(0, |facts| facts.len());
     let bar = byte_bar(bytes, "inspecting");
-    let found = survey(bar.wrap_read(file), &name, time_column, dbc)?;
+    let found = survey(Counted::new(file, bytes, &bar), &name, time_column, dbc)?;
     bar.finish_and_clear();
     Ok(found)
 }

@@ -9,7 +9,7 @@ use crate::config::embedded_model;
 use crate::failure::{Code, Failure};
 use crate::html::study::StudyPage;
 use crate::output::{Outputs, OverwriteArguments};
-use crate::progress::progress_bar;
+use crate::progress::Steps;
 use crate::sink::terminal::print;
 
 /// Makes the source article's figures 2 and 5 to 9 again on the corrected plant, compares its ensemble with the program's, and
@@ -39,11 +39,10 @@ pub struct StudyArguments {
 pub fn run(arguments: &StudyArguments) -> Result<Outcome, Failure> {
     let model = embedded_model()?;
     let out = Outputs::new(arguments.overwrite, []).claim(&arguments.out)?;
-    let bar = progress_bar(seepd_study::STEPS as u64, "studying");
-    bar.enable_steady_tick(std::time::Duration::from_millis(200));
-    let study = seepd_study::run(&model, arguments.seed, &mut |done| bar.set_position(done as u64))
+    let steps = Steps::begin(seepd_study::STEPS as u64, "studying");
+    let study = seepd_study::run(&model, arguments.seed, &mut |done| steps.set(done as u64))
         .map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
-    bar.finish_and_clear();
+    drop(steps);
     let page = StudyPage { study: &study };
     out.write(page.render())?;
     if arguments.json {

@@ -14,7 +14,7 @@ use super::simulate::read_plant;
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::output::{Output, Outputs, OverwriteArguments};
-use crate::progress::progress_bar;
+use crate::progress::Steps;
 use crate::sink::terminal::print;
 
 /// Trains a model on simulated machines and measures it on others.
@@ -115,18 +115,15 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
         tested_on: if arguments.full { FULL_TEST } else { arguments.held_out / 2 },
         ..Settings::default()
     };
-    let mut stage = None;
-    let mut bar = progress_bar(0, "");
+    let mut progress: Option<((Stage, usize), Steps)> = None;
     let trained = seepd_train::train(&spec, &settings, &mut |now, done, all| {
-        if stage != Some(now) {
-            stage = Some(now);
-            bar.finish_and_clear();
-            bar = progress_bar(all as u64, name_of(now));
-        }
-        bar.set_position(done as u64);
+        // The last stage's bar goes before the next one's comes.
+        progress = progress.take().filter(|(stage, _)| *stage == (now, all));
+        let (_, steps) = progress.get_or_insert_with(|| ((now, all), Steps::begin(all as u64, name_of(now))));
+        steps.set(done as u64);
     })
     .map_err(|error| failure(&error))?;
-    bar.finish_and_clear();
+    drop(progress);
     out.write(&trained.json)?;
     if let Some(data) = data {
         write_data(&data, &trained)?;

@@ -34,6 +34,7 @@ use crate::can::dbc::Dbc;
 use crate::can::decode::FrameDecoder;
 use crate::config::Config;
 use crate::failure::{Code, Failure};
+use crate::progress::Counted;
 use kind::{HEAD_BYTES, LogKind};
 
 /// A stream of samples.
@@ -66,7 +67,8 @@ pub fn open_with(path: &Path, config: &Config, bar: &ProgressBar) -> Result<Box<
     }
     let reading = |error| Failure::reading(path, &error);
     let mut file = File::open(path).map_err(reading)?;
-    if file.metadata().map_err(reading)?.is_dir() {
+    let facts = file.metadata().map_err(reading)?;
+    if facts.is_dir() {
         return Err(Failure::new(Code::NoInput, format!("{}: is a folder; name a log file", path.display())));
     }
     let name = path.display().to_string();
@@ -75,11 +77,11 @@ pub fn open_with(path: &Path, config: &Config, bar: &ProgressBar) -> Result<Box<
     let source = match kind {
         LogKind::Mcap => {
             file.rewind().map_err(|_| mcap_from_pipe(&name))?;
-            Box::new(mcap::McapSource::new(bar.wrap_read(file), &name, config.mapping())?)
+            Box::new(mcap::McapSource::new(Counted::new(file, facts.len(), bar), &name, config.mapping())?)
         }
         // What has been read of a pipe does not come again.
         LogKind::Csv | LogKind::Candump => {
-            open_text(kind, bar.wrap_read(Cursor::new(head).chain(file)), &name, config)?
+            open_text(kind, Counted::new(Cursor::new(head).chain(file), facts.len(), bar), &name, config)?
         }
     };
     Ok(Box::new(Usable { source, name, samples: 0, usable: false }))
