@@ -386,6 +386,30 @@ fn schemas_and_channels_by_the_hundred_thousand_are_passed_over() {
     assert!(text.len() < 4000, "{} bytes", text.len());
 }
 
+/// A ROS 2 definition of short types is thirty times its text.
+#[test]
+fn definitions_of_ten_thousands_of_types_stay_within_bounds() {
+    let folder = tempfile::tempdir().unwrap();
+    let types: String = (0..40_000).map(|number| format!("===\nMSG: p/A{number}\nint8 a\n")).collect();
+    let definition = format!("float64 command\n{types}");
+    let mut bytes = MAGIC.to_vec();
+    for id in 1..=4 {
+        bytes.extend(schema_record(id, "p/msg/Axis", "ros2msg", definition.as_bytes()));
+        bytes.extend(channel_record(id, id, if id == 1 { "/plc" } else { "/others" }, "cdr"));
+    }
+    let body = [vec![0, 1, 0, 0], 0.5f64.to_le_bytes().to_vec()].concat();
+    bytes.extend(message_record(1, 0, &body));
+    let path = file(&folder, "types.mcap", bytes);
+    let outputs = read_twice(&path, "command");
+    assert_eq!(codes(&outputs).0, [Some(0); 2], "{}", codes(&outputs).1);
+    let found = json(&outputs[1]);
+    let topics = found["topics"].as_array().unwrap();
+    let looked_into = |topic: &Value| topic["problem"].is_null();
+    assert_eq!(topics.iter().filter(|topic| looked_into(topic)).count(), 1);
+    let plc = topics.iter().find(|topic| topic["topic"] == "/plc").unwrap();
+    assert_eq!(plc["fields"][0]["path"], "command");
+}
+
 /// Nothing says how far such a chunk may be unpacked but its own header.
 #[test]
 fn a_chunk_without_crc_is_unpacked_within_bounds() {

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use mcap::records::op;
 use seepd_signals::Signal;
 
-use super::decode::Decoder;
+use super::decode::{DECODERS_BYTES, Decoder, decoder_bytes};
 use super::fields::FieldTree;
 use super::mcap_file::{ChannelRecord, Schemas};
 use crate::config::SignalMapping;
@@ -17,8 +17,6 @@ const DEFAULT_TOPIC_ENDING: &str = "/signals";
 const TOPICS_TOLD: usize = 32;
 /// Channels that may be mapped: a topic has one, or one a sender.
 const MOST_MAPPED: usize = 64;
-/// Bytes of their schemas; what is made of a schema takes some ten times as much.
-const MAPPED_SCHEMA_BYTES: usize = 2 << 20;
 
 /// The ending of a mapping's topics, where it does not name one.
 fn topic_ending(mapping: &SignalMapping) -> Option<&str> {
@@ -31,8 +29,8 @@ pub(super) struct Channels {
     mapping: Vec<(Signal, SignalMapping)>,
     schemas: Schemas,
     mapped: BTreeMap<u16, MappedChannel>,
-    /// Bytes of the schemas of `mapped`.
-    schema_bytes: usize,
+    /// Bytes that the decoders of `mapped` may take.
+    decoder_bytes: usize,
     announced: BTreeSet<u16>,
     told: BTreeMap<u16, ToldChannel>,
     /// Messages of channels that are announced nowhere.
@@ -62,7 +60,7 @@ impl Channels {
             mapping,
             schemas: Schemas::default(),
             mapped: BTreeMap::new(),
-            schema_bytes: 0,
+            decoder_bytes: 0,
             announced: BTreeSet::new(),
             told: BTreeMap::new(),
             unannounced: 0,
@@ -113,8 +111,8 @@ impl Channels {
             }
         }
         let schema = self.schemas.get(*schema_id);
-        self.schema_bytes += schema.map_or(0, |schema| schema.data.len());
-        if self.mapped.len() == MOST_MAPPED || self.schema_bytes > MAPPED_SCHEMA_BYTES {
+        self.decoder_bytes += schema.map_or(0, decoder_bytes);
+        if self.mapped.len() == MOST_MAPPED || self.decoder_bytes > DECODERS_BYTES {
             return Err(Failure::data(format!(
                 "{}: announces topic {topic} more often, or with longer schemas, than is believed",
                 self.log

@@ -10,6 +10,19 @@ use super::ros::RosMessage;
 /// Longest schema that is read, bytes; those with every comment of every file in them have some hundred thousand.
 const LONGEST_SCHEMA: usize = 1 << 20;
 
+/// What the decoders of one log may take, bytes as [`decoder_bytes`] estimates them.
+pub const DECODERS_BYTES: usize = 32 << 20;
+
+/// What a schema's decoder takes at most, bytes: a line of a ROS 2 definition becomes a field, or a type, of some hundred; of a
+/// protobuf schema little more than names is kept.
+pub fn decoder_bytes(schema: &SchemaRecord) -> usize {
+    let bytes = schema.data.len();
+    match &*schema.encoding {
+        "ros2msg" => bytes + 256 * schema.data.iter().filter(|byte| **byte == b'\n').count(),
+        _ => 8 * bytes,
+    }
+}
+
 /// What reads a channel's messages.
 pub enum Decoder {
     /// JSON text.

@@ -10,6 +10,9 @@ use crate::config::SignalMapping;
 /// Parts of a field path that are followed; real ones have five or so.
 pub const DEEPEST: usize = 32;
 
+/// Fields and elements that a message may make one look at, besides one for each of its bytes: some take no bytes.
+pub(super) const FREE_STEPS: usize = 1 << 16;
+
 /// A part of a field path.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Step<'s> {

@@ -1,7 +1,7 @@
 //! Rate and gaps of a stream of messages by their times, in little memory however long the stream.
 
 /// First intervals, of which the median is the rate.
-const MEASURED: usize = 4096;
+const MEASURED: usize = 1024;
 /// Intervals longer than so many medians are gaps.
 const GAP_INTERVALS: f64 = 2.5;
 

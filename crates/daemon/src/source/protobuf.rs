@@ -11,14 +11,12 @@
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 
-use super::fields::{DEEPEST, FieldVisitor, Step};
+use super::fields::{DEEPEST, FREE_STEPS, FieldVisitor, Step};
 
 /// Types, and fields of all types, that a schema may define; large ones have some thousand.
 const MOST_DEFINED: usize = 16_384;
 /// Longest full name of a type, bytes.
 const LONGEST_NAME: usize = 512;
-/// Fields that a message may make one look at, besides one for each of its bytes: those that are absent and thus 0.
-const FREE_STEPS: usize = 1 << 16;
 
 /// A message's type with those that it refers to.
 #[derive(Debug)]

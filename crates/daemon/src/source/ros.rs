@@ -12,7 +12,7 @@ use re_ros_msg::message_spec::{
     ArraySize, BuiltInType, ComplexType, MessageSpecification, Type, message_package,
 };
 
-use super::fields::{DEEPEST, FieldVisitor, Step};
+use super::fields::{DEEPEST, FREE_STEPS, FieldVisitor, Step};
 
 /// A ROS 2 message's definition with those that it refers to.
 pub struct RosMessage {
@@ -22,8 +22,6 @@ pub struct RosMessage {
 
 /// Bytes before a CDR message: representation and options (DDS-XTypes 1.3, 7.6.3.1.2).
 const ENCAPSULATION_BYTES: usize = 4;
-/// Fields and elements that a message may make one look at, besides one for each of its bytes.
-const FREE_STEPS: usize = 1 << 16;
 
 impl RosMessage {
     /// Reads a definition.

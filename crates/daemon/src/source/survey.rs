@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use super::bus_survey::{BusFound, BusSurvey, RawGuess};
 use super::candump::{self, LONGEST_LINE};
-use super::decode::Decoder;
+use super::decode::{DECODERS_BYTES, Decoder, decoder_bytes};
 use super::fields::{DEEPEST, FieldVisitor, Step};
 use super::guess::{Guess, guess};
 use super::intervals::Intervals;
@@ -119,8 +119,6 @@ const ELEMENTS_TOLD: usize = 16;
 pub(super) const TOPICS_KEPT: usize = 1024;
 /// Fields that are told in all.
 const FIELDS_IN_ALL: usize = 1 << 15;
-/// Bytes of schemas that are looked into; what is made of a schema takes some ten times as much.
-const SCHEMA_BYTES: usize = 4 << 20;
 
 /// Looks through a log.
 ///
@@ -180,8 +178,8 @@ fn survey_mcap<R: Read + Seek>(input: R, name: &str) -> Result<(Vec<TopicSurvey>
 struct Topics {
     schemas: Schemas,
     of_channel: BTreeMap<u16, TopicSurvey>,
-    /// Bytes of the schemas that were looked into.
-    schema_bytes: usize,
+    /// Bytes that the topics' decoders may take.
+    decoder_bytes: usize,
     /// Bytes of the messages that were.
     message_bytes: usize,
     fields: usize,
@@ -200,11 +198,11 @@ impl Topics {
             return;
         }
         let schema = self.schemas.get(channel.schema_id);
-        self.schema_bytes += schema.map_or(0, |schema| schema.data.len());
-        let decoder = if self.schema_bytes <= SCHEMA_BYTES {
+        self.decoder_bytes += schema.map_or(0, decoder_bytes);
+        let decoder = if self.decoder_bytes <= DECODERS_BYTES {
             Decoder::new(&channel.encoding, schema)
         } else {
-            Err("is not looked into: the schemas of the topics before it are as much as is".into())
+            Err("is not looked into: the schemas of the topics before it are as many as are".into())
         };
         let topic = TopicSurvey {
             mapping_topic: channel.topic.clone(),
