@@ -204,7 +204,7 @@ fn events_wait_for_a_broker_that_is_away_and_arrive_in_order() {
         assert!(waiting >= 40, "{waiting}");
         // An entry that is damaged is set aside; the others go on.
         fs::write(spool.join("000000000003.json"), b"\0\0").unwrap();
-        // With a broker that is killed in the middle and started again, nothing is lost.
+        // With a broker that ends in the middle and is started again, nothing is lost.
         let persistence = format!(
             "allow_anonymous true\npersistence true\npersistence_location {}/\nautosave_interval 1\n",
             folder.path().display()
@@ -214,7 +214,7 @@ fn events_wait_for_a_broker_that_is_away_and_arrive_in_order() {
         let heard = mosquitto.listen(&heard_file, &["-c", "-i", "listener"]);
         let daemon = Daemon::start(folder.path(), &config(&log, "recorded"));
         until("a first event", SOON, || !heard.messages("seepd/press-1/cycle").is_empty());
-        drop(mosquitto);
+        mosquitto.end();
         drop(heard);
         thread::sleep(Duration::from_millis(700));
         let mosquitto = Mosquitto::start(folder.path(), broker_port, &persistence);

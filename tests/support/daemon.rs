@@ -307,6 +307,15 @@ impl Mosquitto {
     }
 }
 
+impl Mosquitto {
+    /// Ends it as a service manager does: what it has confirmed it keeps, where its configuration has it keep anything. One that is
+    /// killed forgets what it has confirmed and not handed on yet.
+    pub(crate) fn end(mut self) {
+        assert!(Command::new("kill").arg(self.child.id().to_string()).status().unwrap().success());
+        self.child.wait().unwrap();
+    }
+}
+
 impl Drop for Mosquitto {
     fn drop(&mut self) {
         let _ = self.child.kill();
