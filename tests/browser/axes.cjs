@@ -33,6 +33,12 @@ async function main() {
   await page.waitForFunction(() => document.querySelectorAll("#cycle-list li").length === 6);
   check((await pictures())[0] !== empty[0], "the cycles are not drawn");
   await page.screenshot({ path: folder + "/axes-worn.png", fullPage: true });
+  // An order that is not taken is told.
+  const dialog = page.waitForEvent("dialog");
+  await page.route("**/acknowledge", (route) => route.fulfill({ status: 503, json: { error: "try again" } }));
+  page.click("#acknowledge");
+  check((await dialog).message() === "try again", "the refusal is not told");
+  await (await dialog).accept();
   await choose("silent");
   check(await listed() === 0, "the silent axis shows the other's cycles");
   check(JSON.stringify(await pictures()) === JSON.stringify(empty), "the silent axis shows the other's curves");

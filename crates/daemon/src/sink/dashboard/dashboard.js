@@ -319,13 +319,22 @@ function drawTrend() {
   picture.pen.fillText(name + " before now", 52, 10);
 }
 
-byId("acknowledge").addEventListener("click", async () => {
-  await fetch("/api/v1/axes/" + encodeURIComponent(chosen) + "/acknowledge", { method: "POST" });
+// Asks the chosen axis for something, and says where it is not taken.
+async function order(word) {
+  try {
+    const answer = await fetch("/api/v1/axes/" + encodeURIComponent(chosen) + "/" + word, { method: "POST" });
+    if (!answer.ok) alert((await answer.json()).error);
+  } catch (error) {
+    alert("seepd does not answer: " + error.message);
+  }
+}
+
+byId("acknowledge").addEventListener("click", () => order("acknowledge"));
+byId("renew").addEventListener("click", () => {
+  const question = "Has the seal been replaced? Estimates will count from the next cycles; the old baseline stays in the record.";
+  if (confirm(question)) order("new-baseline");
 });
-byId("renew").addEventListener("click", async () => {
-  if (!confirm("Has the seal been replaced? Estimates will count from the next cycles; the old baseline stays in the record.")) return;
-  await fetch("/api/v1/axes/" + encodeURIComponent(chosen) + "/new-baseline", { method: "POST" });
-});
+
 function draw() { drawLive(); drawCycles(); drawTrend(); }
 
 addEventListener("resize", draw);
