@@ -250,8 +250,12 @@ impl MqttConfig {
         if self.host.is_empty() {
             return Err("mqtt.host is empty".into());
         }
-        if self.prefix.is_empty() || self.prefix.contains(['#', '+', '\0']) || self.prefix.starts_with('$') {
-            return Err(format!("mqtt.prefix is `{}`; topics have no #, + and no leading $", self.prefix));
+        let wrong = |c: char| ['#', '+'].contains(&c) || c.is_control();
+        if self.prefix.is_empty() || self.prefix.contains(wrong) || self.prefix.starts_with('$') {
+            return Err(format!(
+                "mqtt.prefix is `{}`; topics have no # and +, no leading $ and no control characters",
+                self.prefix
+            ));
         }
         if !(1..=1_000_000).contains(&self.spool_events) {
             return Err(format!("mqtt.spool_events is {}; it must lie in 1 … 1000000", self.spool_events));
