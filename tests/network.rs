@@ -43,6 +43,19 @@ fn silent_and_worn(folder: &Path, port: u16) -> String {
     )
 }
 
+/// Events of a leaking machine that wait for a broker: what a daemon has left that had none.
+fn spooled(folder: &Path, broker_port: u16) -> Vec<PathBuf> {
+    let log = folder.join("worn.mcap");
+    simulate(&log, &["--cycles", "8", "--leak-area", "1e-7", "--leak-growth", "3e-7"]);
+    let config = format!(
+        "axis = \"press-1\"\nstate_dir = \"state\"\n[source]\nlog = \"{}\"\npace = \"fast\"\n[alarm]\nraise_cycles = 1\n\
+         [mqtt]\nhost = \"127.0.0.1\"\nport = {broker_port}\n",
+        log.display()
+    );
+    assert!(Daemon::start(folder, &config).wait().success());
+    entries(&folder.join("state/spool"))
+}
+
 fn has_ended(port: u16, axis: &str) -> bool {
     let answer = ask(port, "GET", &format!("/api/v1/axes/{axis}"), "");
     answer.is_some_and(|answer| answer.json()["source"]["state"] == "ended")
@@ -98,16 +111,9 @@ fn a_topic_that_the_broker_refuses_holds_up_no_other() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("worn.mcap");
-    simulate(&log, &["--cycles", "8", "--leak-area", "1e-7", "--leak-growth", "3e-7"]);
     let (http_port, broker_port) = (free_port(), free_port());
-    let (source, mqtt) = (format!("[source]\nlog = \"{}\"\npace = \"fast\"\n", log.display()), broker_port);
-    let fast = format!(
-        "axis = \"press-1\"\nstate_dir = \"state\"\n{source}[alarm]\nraise_cycles = 1\n[mqtt]\nhost = \"127.0.0.1\"\nport = {mqtt}\n"
-    );
-    assert!(Daemon::start(folder.path(), &fast).wait().success());
     let spool = folder.path().join("state/spool");
-    let waiting = entries(&spool);
+    let waiting = spooled(folder.path(), broker_port);
     let of_topic =
         |topic: &str| waiting.iter().filter(|path| fs::read_to_string(path).unwrap().contains(topic)).count();
     let (cycles, flags) = (of_topic("\"press-1/cycle\""), of_topic("\"press-1/flag\""));
@@ -129,6 +135,24 @@ fn a_topic_that_the_broker_refuses_holds_up_no_other() {
     );
     assert!(mqtt["detail"].as_str().unwrap().ends_with("the broker refuses press-1/cycle"), "{mqtt}");
     assert_eq!(daemon.words().matches("connected to the broker").count(), 1, "{}", daemon.words());
+}
+
+#[test]
+fn an_order_too_large_to_be_read_keeps_no_event_back() {
+    if !has("mosquitto") || !has("mosquitto_pub") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let (http_port, broker_port) = (free_port(), free_port());
+    let waiting = spooled(folder.path(), broker_port).len();
+    let mosquitto = Mosquitto::start(folder.path(), broker_port, "allow_anonymous true");
+    let large = folder.path().join("large");
+    fs::write(&large, "x".repeat(100_000)).unwrap();
+    publish(&mosquitto, "seepd/press-1/acknowledge", &["-r", "-f", large.to_str().unwrap()]);
+    let daemon = Daemon::start(folder.path(), &silent_press(folder.path(), http_port, broker_port, "3.1.1"));
+    until("the large message", SOON, || daemon.words().contains("payload size limit exceeded"));
+    until("every event", SOON, || sink(http_port, "mqtt")["sent"] == waiting);
+    assert_eq!(sink(http_port, "mqtt")["dropped"], 0);
 }
 
 #[test]
@@ -267,6 +291,17 @@ fn a_reload_takes_up_a_changed_token_and_a_changed_password() {
     daemon.signal("HUP");
     until("the second reload", SOON, || daemon.words().matches("configuration taken over").count() == 2);
     assert_eq!(daemon.words().matches("connected to the broker").count(), 1, "{}", daemon.words());
+}
+
+#[test]
+fn topics_have_no_control_characters() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("seepd.toml");
+    fs::write(&path, "[mqtt]\nprefix = \"a\\u001bb\"\n").unwrap();
+    let output = seepd(["check", path.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(78));
+    assert!(stderr(&output).contains("mqtt.prefix is `a"), "{}", stderr(&output));
+    assert!(!stderr(&output).contains('\u{1b}'), "{}", stderr(&output));
 }
 
 #[test]

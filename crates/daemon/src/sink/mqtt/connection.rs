@@ -156,11 +156,14 @@ impl Connection {
         }
     }
 
-    /// Announces this client by a retained word, and asks for messages under some topics. The requests wait in the connection's
-    /// queue, which must be empty.
-    pub(super) fn greet(&self, topic: String, word: &str, subscribed: Vec<String>) -> Result<(), String> {
-        self.client.try_publish(topic, word)?;
-        subscribed.into_iter().try_for_each(|topic| self.client.try_subscribe(topic))
+    /// Announces this client by a retained word. The request waits in the connection's queue, which must have room.
+    pub(super) fn announce(&self, topic: String, word: &str) -> Result<(), String> {
+        self.client.try_publish(topic, word)
+    }
+
+    /// Asks for messages under some topics; likewise.
+    pub(super) fn subscribe(&self, topics: impl IntoIterator<Item = String>) -> Result<(), String> {
+        topics.into_iter().try_for_each(|topic| self.client.try_subscribe(topic))
     }
 
     /// Takes leave, and waits until all that was asked is sent.

@@ -58,6 +58,8 @@ pub struct Broker {
     connection: Option<Connection>,
     connected_since: Option<Instant>,
     under_way: Option<UnderWay>,
+    /// Whether orders have been asked for.
+    listens: bool,
     /// Number of the event over which the connection was lost last, and how often in a row.
     losses: (u64, u32),
     /// Topics of which events were refused and none was taken since.
@@ -110,6 +112,7 @@ impl Broker {
             connection: None,
             connected_since: None,
             under_way: None,
+            listens: false,
             losses: (0, 0),
             refused: BTreeSet::new(),
             retry_at: now,
@@ -140,6 +143,7 @@ impl Broker {
                 self.connection = Some(Connection::open(&self.link));
             }
             self.send_next().await;
+            self.listen();
             let (retry_at, waits) = (self.retry_at, self.connection.is_none());
             let may_tell = self.connected_since.is_some();
             let confirmation = self.under_way.as_ref().map(|event| event.until);
@@ -353,21 +357,33 @@ impl Broker {
         }
         self.connection = None;
         self.connected_since = None;
+        self.listens = false;
         self.under_way = None;
         self.retry_at = now() + self.wait;
         self.wait = (self.wait * 2).min(WAITS.1);
         self.tell(why);
     }
 
-    /// Announces this daemon and asks for orders. The requests wait in the connection's queue, which is empty now.
+    /// Announces this daemon.
     fn greet(&self) {
-        if !self.link.presence {
+        let Some(connection) = self.connection.as_ref().filter(|_| self.link.presence) else { return };
+        if let Err(error) = connection.announce(self.link.topic("status"), "online") {
+            tracing::warn!("greeting the broker: {error}");
+        }
+    }
+
+    /// Asks for orders once nothing waits: what the broker hands out for them, such as a retained message too large to be read, may
+    /// end the connection, and must not keep events back.
+    fn listen(&mut self) {
+        let idle = self.under_way.is_none() && self.counts.waiting == 0;
+        if self.listens || !idle || self.connected_since.is_none() || !self.link.presence {
             return;
         }
         let Some(connection) = &self.connection else { return };
         let orders = ["acknowledge", "new_baseline"].map(|word| self.link.topic(&format!("+/{word}")));
-        if let Err(error) = connection.greet(self.link.topic("status"), "online", orders.into()) {
-            tracing::warn!("greeting the broker: {error}");
+        match connection.subscribe(orders) {
+            Ok(()) => self.listens = true,
+            Err(error) => self.lose(&error),
         }
     }
 
