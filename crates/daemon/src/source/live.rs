@@ -12,6 +12,7 @@ use super::socketcan::CanSource;
 use crate::config::{Config, Pace};
 use crate::failure::{Code, Failure};
 use crate::live::clock::Clock;
+use crate::sink::plain::one_line;
 
 /// What a source says when it is asked.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -158,7 +159,7 @@ impl PlayedLog {
             let mut source = match opened.map_or_else(|| super::open(&place, &config_of_axis), Ok) {
                 Ok(source) => source,
                 Err(failure) => {
-                    let _ = sender.blocking_send(Portion::End(Some(failure.message)));
+                    let _ = sender.blocking_send(Portion::End(Some(one_line(&failure.message).into_owned())));
                     return;
                 }
             };
@@ -169,7 +170,7 @@ impl PlayedLog {
                     match source.next_sample() {
                         Ok(Some(sample)) => samples.push(sample),
                         Ok(None) => end = Some(None),
-                        Err(failure) => end = Some(Some(failure.message)),
+                        Err(failure) => end = Some(Some(one_line(&failure.message).into_owned())),
                     }
                 }
                 if sender.blocking_send(Portion::Samples(samples)).is_err() {
@@ -177,7 +178,7 @@ impl PlayedLog {
                 }
                 if let Some(end) = end {
                     for note in source.notes() {
-                        tracing::warn!(axis, "{note}");
+                        tracing::warn!(axis, "{}", one_line(&note));
                     }
                     let _ = sender.blocking_send(Portion::End(end));
                     return;
