@@ -1,9 +1,10 @@
 //! Events that wait for the broker: one small file each, in order, bounded.
 //!
 //! A file is written whole before it takes its place, so a cut leaves the events before it. What cannot be read is moved
-//! into `damaged`, what the broker refuses into `refused`, and counted; the others go on.
+//! into `damaged`, what the broker refuses into `refused`, and counted; the others go on. What the disk does not take waits in
+//! memory until it does.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -26,6 +27,8 @@ const DAMAGED: &str = "damaged";
 const REFUSED: &str = "refused";
 /// Entries that are kept in such a folder; the oldest go first.
 const KEPT_ASIDE: usize = 1000;
+/// Entries that wait in memory while the disk takes none; the oldest of them go first.
+const MOST_UNWRITTEN: usize = 1000;
 
 /// An event that waits.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -67,6 +70,9 @@ pub struct Spool {
     numbers: VecDeque<u64>,
     next: u64,
     counts: Counts,
+    /// Entries that the disk has not taken, and why.
+    unwritten: BTreeMap<u64, Entry>,
+    failure: Option<String>,
 }
 
 /// What is in the spool, and what went from it unsent.
@@ -101,6 +107,8 @@ impl Spool {
             numbers: numbers.into(),
             next,
             counts: Counts::default(),
+            unwritten: BTreeMap::new(),
+            failure: None,
         })
     }
 
@@ -113,17 +121,23 @@ impl Spool {
         entry_path(&self.folder, number)
     }
 
-    /// Adds an event, durably, and tells its number; where there are too many, the oldest goes.
+    /// Why entries wait in memory, where some do.
+    pub fn failure(&self) -> Option<&str> {
+        self.failure.as_deref()
+    }
+
+    /// Adds an event, durably where the disk takes it, and tells its number; where there are too many, the oldest goes.
     ///
     /// # Errors
-    /// Writing failed; the event is not kept.
+    /// It is no JSON, or the oldest cannot be removed.
     pub fn push(&mut self, topic: &str, json: &str) -> io::Result<u64> {
         let message = RawValue::from_string(json.to_owned())?;
         let entry = Entry { schema: SCHEMA.into(), topic: topic.into(), message };
         let number = self.next;
-        write_durably(&self.path(number), &serde_json::to_vec(&entry)?)?;
         self.next += 1;
         self.numbers.push_back(number);
+        self.unwritten.insert(number, entry);
+        self.failure = self.write_out().err().map(|error| error.to_string());
         while self.numbers.len() > self.most {
             self.counts.dropped += 1;
             self.remove_first()?;
@@ -131,9 +145,33 @@ impl Spool {
         Ok(number)
     }
 
+    /// Writes what the disk has not taken, in order.
+    fn write_out(&mut self) -> io::Result<()> {
+        while let Some((number, entry)) = self.unwritten.first_key_value() {
+            if let Err(error) = write_durably(&self.path(*number), &serde_json::to_vec(entry)?) {
+                self.forget_surplus();
+                return Err(error);
+            }
+            self.unwritten.pop_first();
+        }
+        Ok(())
+    }
+
+    fn forget_surplus(&mut self) {
+        while self.unwritten.len() > MOST_UNWRITTEN
+            && let Some((forgotten, _)) = self.unwritten.pop_first()
+        {
+            self.numbers.retain(|number| *number != forgotten);
+            self.counts.dropped += 1;
+        }
+    }
+
     /// The event that has waited longest. Entries that cannot be read are moved aside on the way.
     pub fn first(&mut self) -> Option<(u64, Entry)> {
         while let Some(number) = self.numbers.front().copied() {
+            if let Some(entry) = self.unwritten.get(&number) {
+                return Some((number, entry.clone()));
+            }
             let read = side_file::read(&self.path(number)).map_err(|error| error.to_string());
             match read.and_then(|text| Entry::parse(&text)) {
                 Ok(entry) => return Some((number, entry)),
@@ -163,6 +201,9 @@ impl Spool {
         }
         self.numbers.pop_front();
         self.counts.refused += 1;
+        if self.unwritten.remove(&number).is_some() {
+            return Ok(());
+        }
         self.move_aside(number, REFUSED)
     }
 
@@ -185,6 +226,9 @@ impl Spool {
 
     fn remove_first(&mut self) -> io::Result<()> {
         let Some(number) = self.numbers.pop_front() else { return Ok(()) };
+        if self.unwritten.remove(&number).is_some() {
+            return Ok(());
+        }
         fs::remove_file(self.path(number))
     }
 }
@@ -243,6 +287,28 @@ mod tests {
             spool.push(topic, "{}").unwrap();
         }
         assert_eq!((spool.counts().dropped, topics(&mut spool)), (2, vec!["c".into(), "d".into()]));
+    }
+
+    #[test]
+    fn events_that_the_disk_does_not_take_wait_in_memory_until_it_does() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = folder.path().join("spool");
+        let mut spool = Spool::open(&place, 10_000).unwrap();
+        fs::remove_dir(&place).unwrap();
+        for number in 0..MOST_UNWRITTEN + 5 {
+            spool.push(&format!("event {number}"), "{}").unwrap();
+        }
+        assert!(spool.failure().is_some_and(|why| why.contains("No such file")));
+        assert_eq!(spool.counts(), Counts { waiting: 1000, dropped: 5, ..Counts::default() });
+        let (first, entry) = spool.first().unwrap();
+        assert_eq!(entry.topic, "event 5");
+        spool.arrived(first).unwrap();
+        fs::create_dir(&place).unwrap();
+        spool.push("the last", "{}").unwrap();
+        assert_eq!(spool.failure(), None);
+        let topics = topics(&mut Spool::open(&place, 10_000).unwrap());
+        assert_eq!((topics.len(), topics[0].as_str()), (1000, "event 6"));
+        assert_eq!(topics.last().unwrap(), "the last");
     }
 
     #[test]

@@ -67,12 +67,18 @@ pub struct Broker {
     retry_at: Instant,
     wait: Duration,
     sent: u64,
-    /// Events that the disk did not take, or not fast enough.
+    /// Events that came faster than they could be kept.
     lost: u64,
+    /// Why events wait in memory instead of on disk.
+    unwritten: Option<String>,
     /// What was last told of the axes, and when their counts are due.
     told: Vec<News>,
     counts_at: Instant,
     warnings: Warnings,
+}
+
+fn in_memory(why: &str) -> String {
+    format!("events wait in memory, as the disk takes none: {why}")
 }
 
 /// An event that waits for its confirmation.
@@ -119,6 +125,7 @@ impl Broker {
             wait: WAITS.0,
             sent: 0,
             lost: 0,
+            unwritten: None,
             told: Vec::new(),
             counts_at: now,
             warnings: Warnings::new(now),
@@ -195,7 +202,8 @@ impl Broker {
 
     fn tell(&self, detail: &str) {
         let Counts { waiting, damaged, refused, dropped } = self.counts;
-        let (good, sent) = (self.connected_since.is_some(), self.sent);
+        let (good, sent) = (self.connected_since.is_some() && self.unwritten.is_none(), self.sent);
+        let disk = self.unwritten.as_ref().map_or(String::new(), |why| format!("; {}", in_memory(why)));
         let gone = damaged + refused + dropped + self.lost;
         let place = self.link.place();
         let topics: Vec<&str> = self.refused.iter().map(String::as_str).collect();
@@ -205,7 +213,7 @@ impl Broker {
         };
         self.hub.update_sink(SINK, |status| {
             status.good = good;
-            status.detail = format!("{place}: {detail}{refusal}");
+            status.detail = format!("{place}: {detail}{refusal}{disk}");
             (status.sent, status.waiting, status.dropped) = (sent, waiting, gone);
         });
     }
@@ -219,17 +227,31 @@ impl Broker {
             self.publish(&topic, event.json.clone(), QoS::AtLeastOnce, false).await;
         }
         let (kept, json) = (topic.clone(), event.json.clone());
-        match self.at_disk(move |spool| spool.push(&kept, &json)).await {
-            Ok(number) if at_once && self.connected_since.is_some() => {
-                self.under_way = Some(UnderWay::new(number, topic));
+        let push =
+            move |spool: &mut Spool| Ok((spool.push(&kept, &json)?, spool.failure().map(str::to_owned)));
+        match self.at_disk(push).await {
+            Ok((number, unwritten)) => {
+                self.heed_disk(unwritten);
+                if at_once && self.connected_since.is_some() {
+                    self.under_way = Some(UnderWay::new(number, topic));
+                }
             }
-            Ok(_) => {}
             Err(error) => {
                 self.lost += 1;
                 self.warnings.warn(now(), &format!("an event cannot be kept for the broker: {error}"));
             }
         }
         self.tell(if self.connected_since.is_some() { "connected" } else { "waiting for the broker" });
+    }
+
+    /// Tells once that the disk takes no events, and once that it does again.
+    fn heed_disk(&mut self, unwritten: Option<String>) {
+        match (&self.unwritten, &unwritten) {
+            (None, Some(why)) => tracing::error!("mqtt: {}", in_memory(why)),
+            (Some(_), None) => tracing::info!("mqtt: events wait on disk again"),
+            _ => {}
+        }
+        self.unwritten = unwritten;
     }
 
     /// Sends the event that has waited longest, if none is under way.
