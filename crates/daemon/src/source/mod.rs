@@ -14,8 +14,10 @@ mod lines;
 #[cfg(feature = "live")]
 pub mod live;
 pub mod mcap;
+mod mcap_chunk;
 pub mod mcap_file;
 pub mod protobuf;
+mod protobuf_wire;
 pub mod record;
 pub mod ros;
 mod rows;

@@ -12,6 +12,7 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 
 use super::fields::{DEEPEST, FREE_STEPS, FieldVisitor, Step};
+use super::protobuf_wire::{Value, Wire};
 
 /// Types, and fields of all types, that a schema may define; large ones have some thousand.
 const MOST_DEFINED: usize = 16_384;
@@ -467,114 +468,5 @@ impl Kind {
             (Kind::Bool, Value::Varint(bits)) => f64::from(u8::from(bits != 0)),
             _ => return None,
         })
-    }
-}
-
-/// Bytes in protobuf's wire format that are still to be read.
-struct Wire<'m>(&'m [u8]);
-
-/// A field's value on the wire.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Value<'m> {
-    Varint(u64),
-    Fixed64(u64),
-    Bytes(&'m [u8]),
-    Group(&'m [u8]),
-    Fixed32(u32),
-}
-
-/// Wire types that begin and end a group.
-const GROUP_BEGINS: u8 = 3;
-const GROUP_ENDS: u8 = 4;
-
-impl<'m> Wire<'m> {
-    /// The next field's number and value.
-    fn next(&mut self) -> Result<Option<(u32, Value<'m>)>, String> {
-        if self.0.is_empty() {
-            return Ok(None);
-        }
-        let (number, wire_type) = self.tag()?;
-        Ok(Some((number, self.value(wire_type)?)))
-    }
-
-    /// The bodies of the fields of that number.
-    fn bodies(mut self, number: u32) -> impl Iterator<Item = Result<&'m [u8], String>> {
-        std::iter::from_fn(move || {
-            loop {
-                match self.next() {
-                    Ok(Some((found, Value::Bytes(body)))) if found == number => return Some(Ok(body)),
-                    Ok(Some(_)) => {}
-                    Ok(None) => return None,
-                    Err(what) => {
-                        self.0 = &[];
-                        return Some(Err(what));
-                    }
-                }
-            }
-        })
-    }
-
-    fn tag(&mut self) -> Result<(u32, u8), String> {
-        let tag = self.varint()?;
-        Ok(((tag >> 3) as u32, (tag & 7) as u8))
-    }
-
-    fn value(&mut self, wire_type: u8) -> Result<Value<'m>, String> {
-        Ok(match wire_type {
-            0 => Value::Varint(self.varint()?),
-            1 => Value::Fixed64(u64::from_le_bytes(self.fixed()?)),
-            2 => {
-                let length = usize::try_from(self.varint()?).unwrap_or(usize::MAX);
-                Value::Bytes(self.split(length)?)
-            }
-            GROUP_BEGINS => Value::Group(self.group()?),
-            5 => Value::Fixed32(u32::from_le_bytes(self.fixed()?)),
-            other => return Err(format!("{other} is no wire type")),
-        })
-    }
-
-    fn varint(&mut self) -> Result<u64, String> {
-        let mut value = 0u64;
-        for shift in (0..64).step_by(7) {
-            let (byte, rest) = self.0.split_first().ok_or("it is cut short")?;
-            self.0 = rest;
-            value |= u64::from(byte & 0x7f) << shift;
-            if byte & 0x80 == 0 {
-                return Ok(value);
-            }
-        }
-        Err("a number has more than ten bytes".into())
-    }
-
-    fn split(&mut self, length: usize) -> Result<&'m [u8], String> {
-        let (bytes, rest) = self.0.split_at_checked(length).ok_or("it is cut short")?;
-        self.0 = rest;
-        Ok(bytes)
-    }
-
-    fn fixed<const N: usize>(&mut self) -> Result<[u8; N], String> {
-        let (bytes, rest) = self.0.split_first_chunk().ok_or("it is cut short")?;
-        self.0 = rest;
-        Ok(*bytes)
-    }
-
-    /// What is in a group, to its end; groups within it are passed over without recursion.
-    fn group(&mut self) -> Result<&'m [u8], String> {
-        let begin = self.0;
-        let mut open = 1;
-        loop {
-            let before = self.0.len();
-            let (_, wire_type) = self.tag()?;
-            match wire_type {
-                GROUP_BEGINS => open += 1,
-                GROUP_ENDS => open -= 1,
-                other => {
-                    self.value(other)?;
-                }
-            }
-            if open == 0 {
-                return Ok(&begin[..begin.len() - before]);
-            }
-        }
     }
 }
