@@ -250,6 +250,7 @@ fn events_wait_for_a_broker_that_is_away_and_arrive_in_order() {
         let farewells =
             || heard.messages("seepd/status").iter().filter(|word| word.as_str() == "offline").count();
         assert!(heard.messages("seepd/status").contains(&"online".to_owned()));
+        until("the way back", SOON, || daemon.words().matches("connected to the broker").count() == 2);
         let before = farewells();
         drop(daemon);
         until("the last will", SOON, || farewells() > before);
