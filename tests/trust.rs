@@ -238,6 +238,11 @@ fn sizes_are_right_whatever_dead_band_the_baseline_has() {
     for deadband in [0.003, 0.01, 0.015] {
         let setting = Setting { deadband, ..SETTING };
         let baselines = baselines(&model, 16, setting);
+        for baseline in &baselines {
+            // Seven times the standard deviation with which a baseline shows the width.
+            let shown = model.relative().unwrap().deadband(&baseline.mean).unwrap();
+            assert!((shown - deadband).abs() < 0.002, "{deadband}: {shown}");
+        }
         let (mut covered, mut rejected, mut cycles) = (0, 0, 0);
         let mut before_m2 = vec![0.0; baselines.len()];
         for truth_m2 in [2e-8, 1e-7, 3e-7, 1e-6, 5e-6] {

@@ -1,5 +1,6 @@
 //! Machines of one series, and one machine from day to day.
 
+use crate::effects::{Effect, ValveDeadband};
 use crate::noise::Noise;
 use crate::oil;
 use crate::spec::MachineSpec;
@@ -37,24 +38,17 @@ pub fn vary(spec: &MachineSpec, share: f64, noise: &mut Noise) -> MachineSpec {
 
 /// The machine with so much more overlap of its valve's lands, share of full command: the effect `valve_deadband`, up to its largest value.
 pub fn with_more_deadband(spec: &MachineSpec, half_width: f64) -> MachineSpec {
+    let (effect, parameter) = (&ValveDeadband, &ValveDeadband.parameters()[0]);
+    let wider = (deadband(spec) + half_width).min(parameter.range.1);
     let mut overlapped = spec.clone();
-    let own = overlapped
-        .effects
-        .entry("valve_deadband".into())
-        .or_default()
-        .entry("half_width".into())
-        .or_default();
-    *own = (*own + half_width).min(MOST_DEADBAND);
+    overlapped.effects.entry(effect.key().into()).or_default().insert(parameter.name.into(), wider);
     overlapped
 }
 
 /// Half width of a machine's dead band, share of full command.
 pub fn deadband(spec: &MachineSpec) -> f64 {
-    spec.effects.get("valve_deadband").and_then(|effect| effect.get("half_width")).copied().unwrap_or(0.0)
+    spec.effect_values(&ValveDeadband)[0]
 }
-
-/// Largest dead band, share of full command: what the effect admits.
-const MOST_DEADBAND: f64 = 0.15;
 
 /// The machine with oil of another temperature, °C, and its relief pressure over its own. The oil does what the effect
 /// `oil_viscosity.factor` does, without a law that is asked at each step. Warm oil makes the line stiffer:

@@ -43,6 +43,8 @@ mod valve_lag;
 mod valve_rate_limit;
 mod valve_wear;
 
+pub(crate) use valve_deadband::ValveDeadband;
+
 use crate::controller::Pid;
 use crate::plant::{Plant, State};
 use crate::real::{Lanes, Real};
@@ -56,7 +58,7 @@ pub const ALL: &[&dyn Effect] = &[
     &valve_rate_limit::ValveRateLimit,
     &valve_lag::ValveLag,
     &valve_bias::ValveBias,
-    &valve_deadband::ValveDeadband,
+    &ValveDeadband,
     &valve_flow_shape::ValveFlowShape,
     &valve_asymmetry::ValveAsymmetry,
     &valve_wear::ValveWear,

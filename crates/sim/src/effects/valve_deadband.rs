@@ -4,7 +4,7 @@ use super::{About, Effect, Equation, Law, Parameter, Substep, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
-pub(super) struct ValveDeadband;
+pub(crate) struct ValveDeadband;
 
 /// Half the dead travel, share of full command.
 struct Deadband<T> {
