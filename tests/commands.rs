@@ -510,3 +510,26 @@ fn fail_on_fault_is_not_satisfied_without_a_flag() {
     assert_eq!(ask(&["--cycles", "3", "--leak-area", "1e-6"]).0, Some(1));
     assert_eq!(ask(&["--cycles", "2"]).0, Some(0));
 }
+
+/// A configuration that maps nothing is remarked on, and one whose log lacks what it maps is wrong.
+#[test]
+fn check_holds_the_mapping_beside_the_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("seepd.toml");
+    simulate(&folder.path().join("log.mcap"), &["--cycles", "1"]);
+    let check = |text: &str| {
+        fs::write(&config, text).unwrap();
+        seepd(["check", config.to_str().unwrap()])
+    };
+    assert!(stdout(&check("[alarm]\nleak_lpm = 0.5\n")).contains("remark: axis axis: no signal is mapped"));
+    let mapped =
+        |field: &str| format!("[source]\nlog = \"log.mcap\"\n[signals.command]\nfield = \"{field}\"\n");
+    assert!(!stdout(&check(&mapped("command"))).contains("remark"));
+    let output = check(&mapped("valve"));
+    assert_eq!(output.status.code(), Some(78));
+    assert!(
+        stderr(&output).contains("axis axis: ") && stderr(&output).contains("valve"),
+        "{}",
+        stderr(&output)
+    );
+}

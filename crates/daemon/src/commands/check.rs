@@ -12,12 +12,12 @@ use crate::failure::{Code, Failure};
 use crate::progress::warn;
 use crate::side_file;
 use crate::sink::terminal::print;
-use crate::source::frame_decoder;
+use crate::source::{self, frame_decoder};
 
 /// Checks plant, model and configuration files; tells line, key and the nearest known key of what is wrong.
 ///
 /// JSON is a model; TOML with a table `[plant]`, `[controller]`, `[cycle]` or `[effects]` is a plant; other TOML is a
-/// configuration, whose model and baseline are checked too. Every file is checked, also after one that is wrong.
+/// configuration, whose model and baseline are checked too, and whether the log that it names has the mapped signals. Every file is checked, also after one that is wrong.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd check plant.toml model.json seepd.toml")]
 pub struct CheckArguments {
@@ -173,12 +173,8 @@ fn check_configuration(path: &Path) -> Result<Good, Failure> {
         if axis.dbc.is_some() || axis.source.can.is_some() {
             frame_decoder(axis).map_err(of_axis)?;
         }
-        if axis.signals.is_empty() {
-            warn(&format!(
-                "{}: axis {}: no signal is mapped; each is looked for under its own name, in MCAP logs on the one topic that ends in /signals",
-                path.display(),
-                axis.axis
-            ));
+        if let Some(log) = axis.source.log.as_deref().filter(|log| log.is_file()) {
+            source::open(log, axis).and_then(|mut source| source.next_sample()).map_err(of_axis)?;
         }
         axes.push(format!(
             "axis {}, {} mapped signals, {}",

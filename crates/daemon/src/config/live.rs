@@ -454,7 +454,16 @@ impl super::Config {
     pub fn remarks(&self) -> Vec<String> {
         let of_http = self.http.as_ref().and_then(HttpConfig::remark);
         let of_mqtt = self.mqtt.as_ref().and_then(MqttConfig::remark);
-        of_http.into_iter().chain(of_mqtt).collect()
+        of_http
+            .into_iter()
+            .chain(of_mqtt)
+            .chain(self.axes().iter().filter_map(Self::mapping_remark))
+            .collect()
+    }
+
+    fn mapping_remark(&self) -> Option<String> {
+        let what = "no signal is mapped; each is looked for under its own name, in MCAP logs on the one topic that ends in /signals";
+        self.signals.is_empty().then(|| format!("axis {}: {what}", self.axis))
     }
 }
 
