@@ -442,7 +442,9 @@ mod tests {
         assert_eq!((change.from, change.to), (Flag::NoEstimate, Flag::Healthy));
         // A known level stands while estimates come back.
         let (mut alarm, _) = run(&[0.4, 0.4, 0.4]);
-        (0..3).for_each(|_| drop(alarm.rejected(&config, "gap")));
+        for _ in 0..3 {
+            alarm.rejected(&config, "gap");
+        }
         assert_eq!(alarm.estimated(&config, 53.0).unwrap().to, Flag::Watch);
     }
 
