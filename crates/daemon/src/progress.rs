@@ -1,7 +1,7 @@
 //! What a person sees beside the output: progress, and warnings.
 
 use std::io::{self, IsTerminal, Read, Seek, SeekFrom, Write};
-#[cfg(feature = "simulate")]
+#[cfg(any(feature = "gap", feature = "train"))]
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use crate::sink::plain;
 
 /// Lines that tell of progress where there is no terminal, at most.
-#[cfg(feature = "simulate")]
+#[cfg(any(feature = "gap", feature = "train"))]
 const LINES: u64 = 10;
 
 /// A progress bar over steps on a terminal, and nothing elsewhere: for work of seconds.
@@ -35,7 +35,7 @@ fn bar(length: u64, what: &'static str, template: &str) -> ProgressBar {
 }
 
 /// Progress of work that takes minutes: a bar on a terminal, and elsewhere a line a step, or a tenth where there are many.
-#[cfg(feature = "simulate")]
+#[cfg(any(feature = "gap", feature = "train"))]
 pub(crate) struct Steps {
     bar: ProgressBar,
     what: &'static str,
@@ -43,7 +43,7 @@ pub(crate) struct Steps {
     done: AtomicU64,
 }
 
-#[cfg(feature = "simulate")]
+#[cfg(any(feature = "gap", feature = "train"))]
 impl Steps {
     /// Work of so many steps.
     pub(crate) fn begin(steps: u64, what: &'static str) -> Self {
@@ -60,6 +60,7 @@ impl Steps {
     }
 
     /// One more is done.
+    #[cfg(feature = "gap")]
     pub(crate) fn one_more(&self) {
         self.bar.inc(1);
         let before = self.done.fetch_add(1, Ordering::Relaxed);
@@ -73,7 +74,7 @@ impl Steps {
     }
 }
 
-#[cfg(feature = "simulate")]
+#[cfg(any(feature = "gap", feature = "train"))]
 impl Drop for Steps {
     fn drop(&mut self) {
         self.bar.finish_and_clear();
@@ -81,7 +82,7 @@ impl Drop for Steps {
 }
 
 /// Whether another of the lines is due.
-#[cfg(feature = "simulate")]
+#[cfg(any(feature = "gap", feature = "train"))]
 fn is_worth_a_line(steps: u64, before: u64, done: u64) -> bool {
     let line = |done: u64| done.saturating_mul(LINES.min(steps)) / steps.max(1);
     line(done) > line(before)
@@ -157,7 +158,7 @@ mod tests {
         assert_eq!(bar.position(), 150);
     }
 
-    #[cfg(feature = "simulate")]
+    #[cfg(any(feature = "gap", feature = "train"))]
     #[test]
     fn few_steps_have_a_line_each_and_many_ten_in_all() {
         let lines = |steps: u64| (0..steps).filter(|done| is_worth_a_line(steps, *done, done + 1)).count();
