@@ -287,7 +287,7 @@ fn chunk_begins(bytes: &[u8], remaining: u64) -> bool {
     }
     let name = &bytes[41..41 + name_length];
     let compressed = number(41 + name_length);
-    matches!(name, b"" | b"lz4" | b"zstd") && compressed + 40 + name_length as u64 == length
+    matches!(name, b"" | b"lz4" | b"zstd") && length.checked_sub(40 + name_length as u64) == Some(compressed)
 }
 
 /// What announces a channel. Parsed here because the crate reserves memory for a string's length before it looks how
@@ -390,6 +390,24 @@ fn split_string(content: &[u8]) -> Option<(String, &[u8])> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Found by fuzzing: sizes of damage may be any.
+    #[test]
+    fn sizes_that_no_number_holds_begin_no_chunk() {
+        let head = |compressed: u64| {
+            let mut bytes = vec![op::CHUNK];
+            bytes.extend(144u64.to_le_bytes());
+            bytes.extend([0; 28]);
+            bytes.extend(4u32.to_le_bytes());
+            bytes.extend(b"zstd");
+            bytes.extend(compressed.to_le_bytes());
+            bytes
+        };
+        assert!(chunk_begins(&head(100), 1000));
+        for compressed in [99, 101, u64::MAX, u64::MAX - 40, u64::MAX - 43] {
+            assert!(!chunk_begins(&head(compressed), 1000), "{compressed}");
+        }
+    }
 
     #[test]
     fn channel_record_of_wrong_length_is_none() {
