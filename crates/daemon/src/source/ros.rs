@@ -31,7 +31,7 @@ impl RosMessage {
     pub fn parse(name: &str, definition: &[u8]) -> Result<Self, String> {
         let text =
             std::str::from_utf8(definition).map_err(|_| "its ros2msg schema is not text".to_owned())?;
-        let parsed = MessageSchema::parse(name, text)
+        let parsed = MessageSchema::parse(name, &without_literals(text))
             .map_err(|error| format!("its ros2msg schema does not parse: {error:#}").replace('\n', " "))?;
         let dependencies =
             parsed.dependencies.into_iter().map(|spec| (short_name(&spec.name), spec)).collect();
@@ -226,4 +226,51 @@ fn size_of(kind: &BuiltInType) -> Option<usize> {
         // Of truth values each byte is looked at; texts tell their own length.
         BuiltInType::Bool | BuiltInType::String(_) | BuiltInType::WString(_) => return None,
     })
+}
+
+/// The definition without comments, constants and default values, which say nothing of where the fields lie. The crate's parser of
+/// literals panics on a lone quotation mark (found by fuzzing).
+fn without_literals(definition: &str) -> String {
+    let mut fields = String::with_capacity(definition.len());
+    for line in definition.lines() {
+        let line = line.split('#').next().unwrap_or_default();
+        let mut words = line.split_whitespace();
+        match (words.next(), words.next(), words.next()) {
+            (Some(_), Some(name), next)
+                if name.contains('=') || next.is_some_and(|next| next.starts_with('=')) => {}
+            (Some(kind), Some(name), _) => fields.extend([kind, " ", name]),
+            _ => fields.push_str(line),
+        }
+        fields.push('\n');
+    }
+    fields
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn literals_are_left_out_and_fields_stay() {
+        let separator = "=".repeat(80);
+        let definition = format!(
+            "# a=b\nint8 LOW=-1\nstring<=9 NAME = \"a # b\"\nstring<=9 name 'x=y' # of the press\nfloat64[2] data [1, 2]\n\
+             string lone '\nstring[] lone_too [']\nHeader header#no=constant\n{separator}\nMSG: std_msgs/Header\nstring frame_id \"\""
+        );
+        let fields = without_literals(&definition);
+        let lines: Vec<&str> = fields.lines().filter(|line| !line.is_empty()).collect();
+        let expected = [
+            "string<=9 name",
+            "float64[2] data",
+            "string lone",
+            "string[] lone_too",
+            "Header header",
+            &separator,
+            "MSG: std_msgs/Header",
+            "string frame_id",
+        ];
+        assert_eq!(lines, expected);
+        let message = RosMessage::parse("press/Axis", definition.as_bytes()).unwrap();
+        assert_eq!(message.spec.fields.len(), 5);
+    }
 }
