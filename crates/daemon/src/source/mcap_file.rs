@@ -70,6 +70,8 @@ pub struct McapFile<R> {
     length: u64,
     at: u64,
     chunk: Option<Chunk>,
+    /// Memory for a chunk's records, kept from chunk to chunk.
+    held: Vec<u8>,
     /// What was damaged so far.
     pub damage: Damage,
     ended: bool,
@@ -92,7 +94,15 @@ impl<R: Read + Seek> McapFile<R> {
                 "the first bytes are not those of an MCAP file",
             ));
         }
-        Ok(McapFile { input, length, at: 8, chunk: None, damage: Damage::default(), ended: false })
+        Ok(McapFile {
+            input,
+            length,
+            at: 8,
+            chunk: None,
+            held: Vec::new(),
+            damage: Damage::default(),
+            ended: false,
+        })
     }
 
     /// Puts the next record's content into `record` and gives its opcode; `None` after the data section, or where
@@ -108,7 +118,7 @@ impl<R: Read + Seek> McapFile<R> {
                     Err(_) if !chunk.cut => self.damage.chunk_at(chunk.begin),
                     Err(_) | Ok(None) => {}
                 }
-                self.chunk = None;
+                self.held = self.chunk.take().map_or_else(Vec::new, Chunk::into_held);
             }
             if self.ended {
                 return Ok(None);
@@ -153,7 +163,7 @@ impl<R: Read + Seek> McapFile<R> {
             self.ended = true;
         }
         if opcode == op::CHUNK {
-            match Chunk::open(std::mem::take(record), begin, cut) {
+            match Chunk::open(record, &mut self.held, begin, cut) {
                 Ok(chunk) => self.chunk = Some(chunk),
                 Err(_) if cut => {}
                 Err(_) => self.damage.chunk_at(begin),
