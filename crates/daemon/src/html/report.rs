@@ -172,7 +172,7 @@ impl ReportPage<'_> {
             ..Chart::new(
                 "Difference of the valve command by time in the cycle",
                 time(),
-                Axis::linear(&format!("now less {name}"), -largest, largest),
+                Axis::linear("now less first cycles", -largest, largest),
             )
         };
         html! {
