@@ -33,8 +33,7 @@ fn cycle() -> Vec<f32> {
 /// What the guest prints, computed here.
 fn expected(cycle: &[f32]) -> String {
     let model = Model::from_json(seepd::EMBEDDED_MODEL).unwrap();
-    let projections = model.projections();
-    let reader = model.reader(&projections).unwrap();
+    let reader = model.reader().unwrap();
     let mut state = reader.start(vec![0.0f32; reader.definition().ring_samples()]).unwrap();
     let mut text = String::new();
     let mut tell = |outcome: Outcome<'_>| match outcome {

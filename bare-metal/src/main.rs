@@ -42,8 +42,7 @@ fn main() -> ! {
 }
 
 fn read_cycle(model: &Model) {
-    let projections = model.projections();
-    let Ok(reader) = model.reader(&projections) else { return hprintln!("no reader") };
+    let Ok(reader) = model.reader() else { return hprintln!("no reader") };
     let Ok(mut state) = reader.start(alloc::vec![0.0f32; reader.definition().ring_samples()]) else {
         return hprintln!("no state");
     };

@@ -15,8 +15,7 @@ fn main() {
 fn filter_and_all_features(bencher: divan::Bencher<'_, '_>) {
     let model =
         Model::from_json(include_bytes!("../../daemon/assets/model.json")).expect("the embedded model");
-    let projections = model.projections();
-    let reader = model.reader(&projections).expect("the embedded model");
+    let reader = model.reader().expect("the embedded model");
     let spec = MachineSpec::default();
     let machine = Machine::<f64>::new(&[&spec]);
     let mut plant = machine.start();

@@ -25,4 +25,4 @@ pub use kalman::{Kalman, KalmanState};
 pub use load::{LoadSummary, PistonAreas};
 pub use moments::Moments;
 pub use reader::{CycleReader, CycleState, Outcome, ReaderError, Reason, RejectedCycle, ValidCycle};
-pub use segment::{Anchor, CycleDefinition, DemandMark, Phase, PhaseKind, Projection};
+pub use segment::{Anchor, CycleDefinition, DemandMark, Phase, PhaseKind, Projection, Projections};

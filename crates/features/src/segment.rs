@@ -49,6 +49,35 @@ pub struct Projection<'m> {
     pub loading: &'m [f32],
 }
 
+/// Several of them in one piece of memory: of each the mean, then the loading.
+#[derive(Debug, Clone, Copy)]
+pub struct Projections<'m> {
+    bins: usize,
+    values: &'m [f32],
+}
+
+impl<'m> Projections<'m> {
+    /// No projection at all; cycles are not binned then.
+    pub const NONE: Projections<'static> = Projections { bins: 0, values: &[] };
+
+    /// Those of cycles of so many bins; what does not fill a whole projection at the end is left out.
+    pub const fn new(bins: usize, values: &'m [f32]) -> Self {
+        Projections { bins, values }
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.get(0).is_none()
+    }
+
+    /// The projection of that index.
+    pub fn get(&self, index: usize) -> Option<Projection<'m>> {
+        let (mean, loading) =
+            self.values.chunks_exact((2 * self.bins).max(1)).nth(index)?.split_at_checked(self.bins)?;
+        (self.bins > 0).then_some(Projection { mean, loading })
+    }
+}
+
 /// A crossing of the demand that tells where cycles begin, for logs that have the demand.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DemandMark {
@@ -78,7 +107,7 @@ pub struct CycleDefinition<'m> {
     /// Parts of the cycle, at most [`MAX_PHASES`].
     pub phases: &'m [Phase],
     /// Projections of the cycle's bins.
-    pub projections: &'m [Projection<'m>],
+    pub projections: Projections<'m>,
 }
 
 /// Most phases of a cycle.
@@ -360,5 +389,20 @@ impl SegmentState {
         } else {
             -1.0
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn projections_are_cut_out_of_one_piece_of_memory() {
+        let values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
+        let projections = Projections::new(2, &values);
+        let parts = |index| projections.get(index).map(|projection| (projection.mean, projection.loading));
+        assert_eq!(parts(1), Some((&[5.0, 6.0][..], &[7.0, 8.0][..])));
+        assert!(parts(2).is_none() && !projections.is_empty());
+        assert!(Projections::NONE.is_empty() && Projections::new(0, &values).is_empty());
     }
 }

@@ -58,8 +58,7 @@ fn note(found: &mut Vec<Found>, outcome: &Outcome<'_>) {
 }
 
 fn read(samples: &[Sample]) -> Vec<Found> {
-    let projections = MODEL.projections();
-    let reader = MODEL.reader(&projections).unwrap();
+    let reader = MODEL.reader().unwrap();
     let mut state = reader.start(vec![0.0f32; reader.definition().ring_samples()]).unwrap();
     let mut found = Vec::new();
     for sample in samples {
@@ -147,8 +146,7 @@ fn every_leak_and_noise_is_segmented() {
 /// One pass over a stored log and a sample now and then, from a state that was put away in between: the same bits.
 #[test]
 fn property_streaming_equals_offline_bit_for_bit() {
-    let projections = MODEL.projections();
-    let reader = MODEL.reader(&projections).unwrap();
+    let reader = MODEL.reader().unwrap();
     let mut found = Vec::new();
     let mut state = reader.start(vec![0.0f32; reader.definition().ring_samples()]).unwrap();
     for portion in LEAKY.chunks(997) {
@@ -290,8 +288,7 @@ fn clock_set_back_loses_one_cycle() {
 
 #[test]
 fn another_rate_gives_no_cycle_and_tells_the_rate() {
-    let projections = MODEL.projections();
-    let reader = MODEL.reader(&projections).unwrap();
+    let reader = MODEL.reader().unwrap();
     for (factor, rate) in [(2, 500.0), (10, 100.0)] {
         let mut state = reader.start(vec![0.0f32; reader.definition().ring_samples()]).unwrap();
         let mut valid = 0;
@@ -337,8 +334,7 @@ proptest! {
         samples in prop::collection::vec((any::<i64>(), any::<f64>()), 0..300),
         steps in prop::collection::vec((0i64..3_000_000, -2.0f64..2.0), 0..3000),
     ) {
-        let projections = MODEL.projections();
-        let reader = MODEL.reader(&projections).unwrap();
+        let reader = MODEL.reader().unwrap();
         let mut state = reader.start(vec![0.0f32; reader.definition().ring_samples()]).unwrap();
         let mut sink = |outcome: Outcome<'_>| {
             if let Outcome::Valid(cycle) = outcome {
@@ -359,8 +355,7 @@ proptest! {
     /// A memory that is too small for a cycle is refused, and one that is just large enough gives what any larger one does.
     #[test]
     fn property_any_memory_is_refused_or_right(length in 0usize..40_000) {
-        let projections = MODEL.projections();
-        let reader = MODEL.reader(&projections).unwrap();
+        let reader = MODEL.reader().unwrap();
         let needed = reader.definition().ring_samples();
         let started = reader.start(vec![0.0f32; length]);
         if length < needed {
@@ -380,8 +375,7 @@ proptest! {
 /// What the reader has no room for is refused by name, not dropped.
 #[test]
 fn a_definition_that_is_too_large_is_refused() {
-    let projections = MODEL.projections();
-    let reader = MODEL.reader(&projections).unwrap();
+    let reader = MODEL.reader().unwrap();
     let definition = *reader.definition();
     let new = |definition, features: &[Feature]| CycleReader::new(None, definition, features).err();
     let features = [Feature::from_name("mean", [].into_iter(), [].into_iter()).unwrap(); 65];

@@ -4,14 +4,14 @@ use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
 
-use seepd_features::{CycleReader, Feature, Kalman, Phase, PistonAreas, Projection, ReaderError};
+use seepd_features::{CycleReader, Feature, Kalman, Phase, PistonAreas, Projections, ReaderError};
 
 use crate::attribution::Attribution;
 use crate::check::{self, ModelError};
 use crate::ensemble::{Ensemble, Estimate};
 use crate::novelty::Novelty;
 use crate::relative::Relative;
-use crate::schema::{Filter, Golden, ModelFile};
+use crate::schema::{Filter, Golden, ModelFile, ProjectionFile};
 
 /// Relative difference that a golden output may show: the platforms' arithmetic is the same, text is not kept
 /// beyond 17 digits.
@@ -23,6 +23,8 @@ pub struct Model {
     file: ModelFile,
     features: Vec<Feature>,
     phases: Vec<Phase>,
+    /// Means and loadings of the projections.
+    projections: Vec<f32>,
     ensemble: Ensemble,
     relative: Option<Relative>,
 }
@@ -45,8 +47,9 @@ impl Model {
         check::check(&file)?;
         let features = file.features.iter().filter_map(|name| check::feature(&file, name)).collect();
         let phases = file.cycle.phase_list();
+        let projections = ProjectionFile::values(&file.projections);
         let ensemble = Ensemble::from_checked(&file.trees, file.transform, file.calibration.clone());
-        let mut model = Model { file, features, phases, ensemble, relative: None };
+        let mut model = Model { file, features, phases, projections, ensemble, relative: None };
         model.check_golden()?;
         // The trees live on in the ensemble.
         model.file.trees = Vec::new();
@@ -127,21 +130,19 @@ impl Model {
             * libm::sqrt(2.0 * pressure_difference_pa / orifice.density_kg_per_m3)
     }
 
-    /// The views of the projections, to be kept beside the reader.
-    pub fn projections(&self) -> Vec<Projection<'_>> {
-        self.file
-            .projections
-            .iter()
-            .map(|projection| Projection { mean: &projection.mean, loading: &projection.loading })
-            .collect()
+    /// The projections of the cycles' bins.
+    pub fn projections(&self) -> Projections<'_> {
+        let bins = self.file.projections.first().map_or(0, |projection| projection.mean.len());
+        Projections::new(bins, &self.projections)
     }
 
-    /// The configuration that reads cycles for this model; `projections` from [`Model::projections`].
+    /// The configuration that reads cycles for this model.
     ///
     /// # Errors
     /// [`ReaderError`] where the reader has no room for the model's features, phases or bins, which the model's own check rules out.
-    pub fn reader<'m>(&'m self, projections: &'m [Projection<'m>]) -> Result<CycleReader<'m>, ReaderError> {
-        let definition = self.file.cycle.definition(self.file.sample_rate_hz, &self.phases, projections);
+    pub fn reader(&self) -> Result<CycleReader<'_>, ReaderError> {
+        let definition =
+            self.file.cycle.definition(self.file.sample_rate_hz, &self.phases, self.projections());
         let areas = self.relative.as_ref().map(|relative| {
             let [cap_m2, annulus_m2] = relative.file().piston_areas_m2;
             PistonAreas { cap_m2, annulus_m2 }

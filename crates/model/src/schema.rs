@@ -3,7 +3,7 @@
 use alloc::string::String;
 use alloc::vec::Vec;
 
-use seepd_features::{Anchor, CycleDefinition, DemandMark, Kalman, Phase, PhaseKind, Projection};
+use seepd_features::{Anchor, CycleDefinition, DemandMark, Kalman, Phase, PhaseKind, Projections};
 use serde::{Deserialize, Serialize};
 
 /// The `schema` field of this version.
@@ -96,12 +96,12 @@ impl Cycle {
             .collect()
     }
 
-    /// The cycle as the reader wants it; `phases` from [`Cycle::phase_list`].
+    /// The cycle as the reader wants it; `phases` from [`Cycle::phase_list`], `projections` of values from [`ProjectionFile::values`].
     pub fn definition<'m>(
         &'m self,
         sample_rate_hz: f64,
         phases: &'m [Phase],
-        projections: &'m [Projection<'m>],
+        projections: Projections<'m>,
     ) -> CycleDefinition<'m> {
         let anchor = |anchor: &'m AnchorFile| Anchor {
             template: &anchor.template,
@@ -190,6 +190,17 @@ pub struct ProjectionFile {
     pub mean: Vec<f32>,
     /// Direction.
     pub loading: Vec<f32>,
+}
+
+impl ProjectionFile {
+    /// Means and loadings one after the other, as [`Projections`] wants them.
+    pub fn values(projections: &[ProjectionFile]) -> Vec<f32> {
+        projections
+            .iter()
+            .flat_map(|projection| projection.mean.iter().chain(&projection.loading))
+            .copied()
+            .collect()
+    }
 }
 
 /// Between the trees' values y and the target.

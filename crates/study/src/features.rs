@@ -2,7 +2,7 @@
 
 use bhtsne::tSNE;
 use seepd_features::statistics::CycleStatistics;
-use seepd_features::{CycleDefinition, Feature, Kalman, Phase, Projection};
+use seepd_features::{CycleDefinition, Feature, Kalman, Phase};
 use seepd_model::Model;
 use seepd_model::schema::Filter;
 use seepd_sim::MachineSpec;
@@ -25,7 +25,6 @@ const EPOCHS: usize = 1000;
 pub(crate) struct Lens<'m> {
     pub(crate) model: &'m Model,
     phases: Vec<Phase>,
-    projections: Vec<Projection<'m>>,
     pub(crate) filter: Option<Kalman>,
     five: [Feature; 5],
     all: Vec<Feature>,
@@ -45,7 +44,6 @@ impl<'m> Lens<'m> {
         Ok(Lens {
             model,
             phases: file.cycle.phase_list(),
-            projections: model.projections(),
             filter: file.filter.as_ref().map(|Filter::Kalman(kalman)| *kalman),
             five,
             all: file.features.iter().filter_map(|name| kind(name)).collect(),
@@ -58,7 +56,7 @@ impl<'m> Lens<'m> {
             cycle: &file.cycle,
             phases: &self.phases,
             sample_rate_hz: file.sample_rate_hz,
-            projections: &self.projections,
+            projections: self.model.projections(),
         }
     }
 

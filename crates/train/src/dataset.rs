@@ -1,7 +1,7 @@
 //! Simulated machines and their cycles, read with the monitor's own code.
 
 use seepd_features::statistics::CycleStatistics;
-use seepd_features::{CycleDefinition, CycleReader, Kalman, Outcome, Phase, Projection};
+use seepd_features::{CycleDefinition, CycleReader, Kalman, Outcome, Phase, Projections};
 use seepd_model::schema::Cycle;
 use seepd_signals::Sample;
 use seepd_sim::batch::{self, Job};
@@ -159,12 +159,12 @@ pub struct Reading<'m> {
     pub phases: &'m [Phase],
     /// Samples a second, Hz.
     pub sample_rate_hz: f64,
-    /// Projections; with any, if only an empty one, cycles are binned.
-    pub projections: &'m [Projection<'m>],
+    /// Projections; with any, cycles are binned.
+    pub projections: Projections<'m>,
 }
 
 impl<'m> Reading<'m> {
-    /// The definition; with a projection, if only an empty one, cycles are binned.
+    /// The definition.
     pub fn definition(&self) -> CycleDefinition<'m> {
         self.cycle.definition(self.sample_rate_hz, self.phases, self.projections)
     }

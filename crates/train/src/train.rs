@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 use seepd_features::statistics::CycleStatistics;
-use seepd_features::{Feature, Kalman, Projection};
+use seepd_features::{CycleDefinition, Feature, Kalman, Projections};
 use seepd_model::schema::{
     Calibration, Cycle, Filter, Golden, ModelFile, NoveltyFile, Orifice, ProjectionFile, SCHEMA, Training,
     Transform,
@@ -180,8 +180,11 @@ pub fn train(
     let cycle = with_templates(spec, settings)?;
     let phases = cycle.phase_list();
     let sample_rate_hz = 1.0 / spec.controller.period_s;
-    let binned = [Projection { mean: &[], loading: &[] }];
-    let reading = Reading { cycle: &cycle, phases: &phases, sample_rate_hz, projections: &binned };
+    // A projection onto nothing, for which cycles are binned: the principal components come of these bins.
+    let bins = cycle.definition(sample_rate_hz, &phases, Projections::NONE).cycle_bins();
+    let nothing = vec![0.0; 2 * bins];
+    let projections = Projections::new(bins, &nothing);
+    let reading = Reading { cycle: &cycle, phases: &phases, sample_rate_hz, projections };
 
     let learned = learn_set(spec, settings, &reading, tell)?;
     let rows: Vec<Vec<f32>> = learned.iter().map(|case| case.mixed.bins().to_vec()).collect();
@@ -480,7 +483,8 @@ pub(crate) struct Features<'a> {
     pub(crate) names: Vec<String>,
     kinds: Vec<Feature>,
     reading: &'a Reading<'a>,
-    views: Vec<Projection<'a>>,
+    bins: usize,
+    projections: Vec<f32>,
 }
 
 impl<'a> Features<'a> {
@@ -492,13 +496,19 @@ impl<'a> Features<'a> {
                 Feature::from_name(name, phase_names.clone(), projections.iter().map(|p| p.name.as_str()))
             })
             .collect();
-        let views = projections.iter().map(|p| Projection { mean: &p.mean, loading: &p.loading }).collect();
-        Features { names: names.to_vec(), kinds, reading, views }
+        let bins = reading.definition().cycle_bins();
+        Features {
+            names: names.to_vec(),
+            kinds,
+            reading,
+            bins,
+            projections: ProjectionFile::values(projections),
+        }
     }
 
     pub(crate) fn of(&self, statistics: &CycleStatistics) -> Vec<f64> {
-        let definition =
-            seepd_features::CycleDefinition { projections: &self.views, ..self.reading.definition() };
+        let projections = Projections::new(self.bins, &self.projections);
+        let definition = CycleDefinition { projections, ..self.reading.definition() };
         self.kinds.iter().map(|kind| kind.of(&definition, statistics)).collect()
     }
 

@@ -1,7 +1,7 @@
 //! A duty cycle and what watches it: its reader, its model, its baseline.
 
 use seepd_features::reader::MAX_FEATURES;
-use seepd_features::{CycleReader, CycleState, Projection, ReaderError, ValidCycle};
+use seepd_features::{CycleReader, CycleState, ReaderError, ValidCycle};
 use seepd_model::{Attribution, Estimate, Model, Novelty};
 
 use crate::baseline::follower::Followed;
@@ -15,14 +15,12 @@ pub struct DutyCycle<'m> {
     pub name: Option<&'m str>,
     /// Its model.
     pub model: &'m Model,
-    /// The model's projections.
-    pub projections: Vec<Projection<'m>>,
 }
 
 impl<'m> DutyCycle<'m> {
     /// The only duty cycle of an axis.
     pub fn only(model: &'m Model) -> Self {
-        DutyCycle { name: None, model, projections: model.projections() }
+        DutyCycle { name: None, model }
     }
 
     /// Those of these models.
@@ -117,7 +115,7 @@ impl<'m> Monitor<'m> {
     /// [`ReaderError`] of a model that has more features, phases or bins than the reader has room for.
     pub(super) fn new(duty_cycle: &'m DutyCycle<'m>) -> Result<Self, ReaderError> {
         let model = duty_cycle.model;
-        let reader = model.reader(&duty_cycle.projections)?;
+        let reader = model.reader()?;
         let state = reader.start(vec![0.0; reader.definition().ring_samples()])?;
         Ok(Monitor {
             reader,
