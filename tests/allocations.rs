@@ -11,7 +11,7 @@ use seepd::event::Event;
 use seepd::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use seepd_model::Model;
 use seepd_signals::{Sample, Signal};
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::{Input, Machine, MachineSpec, Schedule};
 
@@ -26,9 +26,9 @@ static SAMPLES: LazyLock<Vec<Sample>> = LazyLock::new(|| {
     let machine = Machine::<f64>::new(&[&spec]);
     let (mut state, mut noise) = (machine.start(), Noise::new(1, 1));
     let leak = |cycle: usize| 3e-8 * cycle.saturating_sub(LEARNED + 2) as f64;
-    let turns: Vec<Turn> = (0..LEARNED + 40).map(|cycle| Turn::with_leak(leak(cycle))).collect();
-    let ticks = 10_000 * turns.len();
-    let samples = Schedule::new(&spec.cycle, 1e-3, turns).take(ticks).enumerate().map(|(tick, drive)| {
+    let runs: Vec<CycleRun> = (0..LEARNED + 40).map(|cycle| CycleRun::with_leak(leak(cycle))).collect();
+    let ticks = 10_000 * runs.len();
+    let samples = Schedule::new(&spec.cycle, 1e-3, runs).take(ticks).enumerate().map(|(tick, drive)| {
         let record = machine.tick(&mut state, &Input::gather(&[drive]));
         let mut sample = Sample::command(tick as i64 * 1_000_000, record.command + noise.normal(0.003));
         sample.set(Signal::Demand, record.demand);

@@ -12,7 +12,7 @@ use std::process::Command;
 use seepd_features::Outcome;
 use seepd_model::Model;
 use seepd_signals::Sample;
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::{Input, Machine, MachineSpec, Schedule};
 
@@ -22,9 +22,9 @@ fn cycle() -> Vec<f32> {
     let machine = Machine::<f64>::new(&[&spec]);
     let mut state = machine.start();
     let mut noise = Noise::new(11, 0);
-    Schedule::new(&spec.cycle, 1e-3, vec![Turn::with_leak(5e-7)])
+    Schedule::new(&spec.cycle, 1e-3, vec![CycleRun::with_leak(5e-7)])
         .take(20_500)
-        .map(|instant| machine.tick(&mut state, &Input::gather(&[instant])).command)
+        .map(|sample| machine.tick(&mut state, &Input::gather(&[sample])).command)
         .skip(9_500)
         .map(|command| (command + noise.normal(0.003)) as f32)
         .collect()

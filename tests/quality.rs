@@ -13,7 +13,7 @@ use seepd_model::Model;
 use seepd_signals::Sample;
 use seepd_sim::MachineSpec;
 use seepd_sim::batch::{Job, run_lanes};
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
 use seepd_train::{Settings, TrainError, Trained, train};
@@ -116,12 +116,14 @@ fn no_flag_in(stretch_cycles: usize) {
             let jobs: Vec<Job> = (0..LANES as u64)
                 .map(|lane| {
                     let mut noise = Noise::new(77, batch * 8 + lane);
-                    let turn =
-                        |noise: &mut Noise| Turn { load_factor: noise.factor(0.02), ..Turn::with_leak(0.0) };
-                    let turns = (0..=stretch_cycles).map(|_| turn(&mut noise)).collect();
+                    let run = |noise: &mut Noise| CycleRun {
+                        load_factor: noise.factor(0.02),
+                        ..CycleRun::with_leak(0.0)
+                    };
+                    let runs = (0..=stretch_cycles).map(|_| run(&mut noise)).collect();
                     Job {
                         spec: MachineSpec::default(),
-                        turns,
+                        runs,
                         start_tick: 0,
                         skip_ticks: 10_000,
                         record_ticks: stretch_cycles as u64 * 10_000,

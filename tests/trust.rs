@@ -13,7 +13,7 @@ use seepd::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use seepd_model::Model;
 use seepd_signals::{Sample, Signal};
 use seepd_sim::batch::{Job, run_lanes};
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
 use seepd_sim::{MachineSpec, series};
@@ -49,14 +49,14 @@ fn job(number: u64, day: &Day) -> Job {
     spec.controller.steps_per_period = spec.stable_steps();
     let mut noise = Noise::new(8_000 + number, day.cycles as u64);
     // One cycle more at either end: the first settles, the last is cut.
-    let turns = (0..day.cycles + 2)
-        .map(|_| Turn {
+    let runs = (0..day.cycles + 2)
+        .map(|_| CycleRun {
             load_factor: load * noise.factor(day.load_variation),
-            ..Turn::with_leak(day.leak_area_m2)
+            ..CycleRun::with_leak(day.leak_area_m2)
         })
         .collect();
     let record_ticks = (day.cycles as u64 * 10_000) + 1_500;
-    Job { spec, turns, start_tick: 0, skip_ticks: 10_000, record_ticks }
+    Job { spec, runs, start_tick: 0, skip_ticks: 10_000, record_ticks }
 }
 
 /// What came of a machine's cycles.

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use seepd_blind::press::{Press, Variation};
 use seepd_blind::{Set, draw};
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::effects::{self, Effect};
 use seepd_sim::{Controller, DutyCycle, Input, Machine, MachineSpec, PlantParameters, Schedule};
 
@@ -35,9 +35,10 @@ fn simulated(values: &BTreeMap<String, BTreeMap<String, f64>>, leak_area_m2: f64
     let spec = spec.with_stable_steps();
     let machine = Machine::<f64>::new(&[&spec]);
     let mut state = machine.start();
-    let schedule = Schedule::new(&spec.cycle, spec.controller.period_s, vec![Turn::with_leak(leak_area_m2)]);
-    let log = schedule.take(20_000).map(|instant| {
-        let record = machine.tick(&mut state, &Input::gather(&[instant]));
+    let schedule =
+        Schedule::new(&spec.cycle, spec.controller.period_s, vec![CycleRun::with_leak(leak_area_m2)]);
+    let log = schedule.take(20_000).map(|sample| {
+        let record = machine.tick(&mut state, &Input::gather(&[sample]));
         [record.command, record.position, record.p_supply, record.p_inlet, record.p_cap, record.p_rod]
     });
     log.skip(10_000).collect()

@@ -3,7 +3,7 @@
 use divan::counter::ItemsCount;
 use seepd_model::Model;
 use seepd_signals::Sample;
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::{Input, Machine, MachineSpec, Schedule};
 
@@ -20,11 +20,11 @@ fn filter_and_all_features(bencher: divan::Bencher<'_, '_>) {
     let machine = Machine::<f64>::new(&[&spec]);
     let mut plant = machine.start();
     let mut noise = Noise::new(1, 1);
-    let samples: Vec<Sample> = Schedule::new(&spec.cycle, 1e-3, vec![Turn::with_leak(1e-6)])
+    let samples: Vec<Sample> = Schedule::new(&spec.cycle, 1e-3, vec![CycleRun::with_leak(1e-6)])
         .take(50_000)
         .enumerate()
-        .map(|(tick, instant)| {
-            let command = machine.tick(&mut plant, &Input::gather(&[instant])).command + noise.normal(0.003);
+        .map(|(tick, drive)| {
+            let command = machine.tick(&mut plant, &Input::gather(&[drive])).command + noise.normal(0.003);
             Sample::command(tick as i64 * 1_000_000, command)
         })
         .collect();

@@ -10,7 +10,7 @@ const COMMAND_LIMIT: f64 = 1.05;
 const LATE_S: f64 = 1.0;
 /// Samples in a row that may be missing and are bridged by holding the last one.
 const BRIDGED_SAMPLES: i64 = 10;
-/// Intervals over which the rate is judged.
+/// Intervals over which the rate is checked.
 const RATE_WINDOW: u32 = 200;
 
 /// Samples that were left out or filled in, by reason.
@@ -38,12 +38,12 @@ pub struct Counts {
 
 /// What to do with a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Verdict {
+pub(crate) enum Admission {
     /// Leave it out.
     Drop,
     /// Use it after `bridged` repetitions of the command before.
     Use { command: f64, bridged: i64 },
-    /// Use it as the first of a new stretch, because of what the reason says.
+    /// Use it as the first of a new gapless segment; the reason says what ended the one before.
     Restart { command: f64, reason: Reason },
 }
 
@@ -70,33 +70,33 @@ struct RateWindow {
 }
 
 impl IntakeState {
-    /// Judges a sample against the model's sample period, s.
+    /// Checks a sample against the model's sample period, s.
     #[inline]
-    pub(crate) fn judge(&mut self, counts: &mut Counts, sample: &Sample, period_ns: f64) -> Verdict {
-        let Some(command) = sample.get(Signal::Command) else { return Verdict::Drop };
+    pub(crate) fn admit(&mut self, counts: &mut Counts, sample: &Sample, period_ns: f64) -> Admission {
+        let Some(command) = sample.get(Signal::Command) else { return Admission::Drop };
         counts.samples += 1;
         let time_ns = sample.time_ns;
         let Some(last_ns) = self.last_ns else {
-            return self.judge_first(counts, time_ns, command);
+            return self.admit_first(counts, time_ns, command);
         };
         let since_ns = time_ns.saturating_sub(last_ns);
         if since_ns <= 0 && since_ns as f64 > -LATE_S * 1e9 {
             *(if since_ns == 0 { &mut counts.duplicate } else { &mut counts.out_of_order }) += 1;
-            return Verdict::Drop;
+            return Admission::Drop;
         }
         if since_ns > 0 {
-            self.judge_rate(time_ns, since_ns as f64, period_ns);
+            self.check_rate(time_ns, since_ns as f64, period_ns);
         }
         if let Some(reason) = unusable(counts, command) {
             self.dropped_for.get_or_insert(reason);
-            return Verdict::Drop;
+            return Admission::Drop;
         }
         self.last_ns = Some(time_ns);
         if self.wrong_rate_hz.is_some() {
             counts.wrong_rate += 1;
             self.grid_ns = time_ns as f64;
             self.dropped_for = Some(Reason::WrongRate);
-            return Verdict::Drop;
+            return Admission::Drop;
         }
         counts.used += 1;
         if since_ns < 0 {
@@ -117,12 +117,12 @@ impl IntakeState {
         let off_ns = early_ns - missing as f64 * period_ns;
         self.jitter_ns += 0.02 * (off_ns.abs() - self.jitter_ns);
         self.grid_ns += (missing + 1) as f64 * period_ns + 0.05 * off_ns;
-        Verdict::Use { command, bridged: missing }
+        Admission::Use { command, bridged: missing }
     }
 
-    fn judge_first(&mut self, counts: &mut Counts, time_ns: i64, command: f64) -> Verdict {
+    fn admit_first(&mut self, counts: &mut Counts, time_ns: i64, command: f64) -> Admission {
         if unusable(counts, command).is_some() {
-            return Verdict::Drop;
+            return Admission::Drop;
         }
         counts.used += 1;
         self.last_ns = Some(time_ns);
@@ -130,16 +130,16 @@ impl IntakeState {
         self.restart(time_ns, command, Reason::Incomplete)
     }
 
-    fn restart(&mut self, time_ns: i64, command: f64, reason: Reason) -> Verdict {
+    fn restart(&mut self, time_ns: i64, command: f64, reason: Reason) -> Admission {
         self.grid_ns = time_ns as f64;
         self.jitter_ns = 0.0;
         self.dropped_for = None;
-        Verdict::Restart { command, reason }
+        Admission::Restart { command, reason }
     }
 
     /// The rate is wrong where most of a window's intervals are, and their mean is too: stamps in bursts
     /// have a right mean, a log with a few gaps has right intervals.
-    fn judge_rate(&mut self, time_ns: i64, since_ns: f64, period_ns: f64) {
+    fn check_rate(&mut self, time_ns: i64, since_ns: f64, period_ns: f64) {
         let window = &mut self.window;
         window.intervals += 1;
         window.regular += u32::from((since_ns - period_ns).abs() < 0.45 * period_ns);

@@ -5,12 +5,12 @@ use core::fmt;
 use seepd_signals::{Sample, Signal};
 
 use crate::feature::Feature;
-use crate::intake::{Counts, IntakeState, Verdict};
+use crate::intake::{Admission, Counts, IntakeState};
 use crate::kalman::{Kalman, KalmanState};
 use crate::load::{LoadState, PistonAreas};
 use crate::noise::NoiseState;
 use crate::segment::{
-    CycleDefinition, Finding, MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS, Orphan, SegmentState, Span,
+    CycleDefinition, MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS, Orphan, SegmentEvent, SegmentState, Span,
 };
 use crate::statistics::{CycleStatistics, RingView};
 
@@ -64,7 +64,7 @@ pub enum ReaderError {
         /// How many there may be.
         most: usize,
     },
-    /// The memory does not hold a cycle: its features would be those of another stretch of the command.
+    /// The memory does not hold a cycle: its features would be those of another part of the command.
     RingTooShort {
         /// Samples that it holds.
         given: usize,
@@ -166,7 +166,7 @@ pub struct CycleState<B> {
     counts_before: Counts,
     /// A cycle whose last samples are still to come.
     open: Option<Span>,
-    stretch: Stretch,
+    gapless: GaplessSegment,
     /// An orphaned stroke that no cycle has been found around yet.
     orphan: Option<Orphan>,
     /// Standstills: first and last sample number.
@@ -177,24 +177,24 @@ pub struct CycleState<B> {
     seen_count: usize,
 }
 
-/// A run of samples without a break; its samples are numbered from 0.
+/// Samples without a gap between them, numbered from 0.
 #[derive(Debug, Clone, Copy)]
-struct Stretch {
+struct GaplessSegment {
     /// Why it began, and so why cycles that began before it are lost.
     reason: Reason,
-    /// End of the last cycle that was reported, used or not, in this stretch's numbers; `None` before the first.
+    /// End of the last cycle that was reported, used or not, numbered as in this segment; `None` before the first.
     reported_end: Option<i64>,
-    /// Whether a cycle has shown what the break cost.
+    /// Whether a cycle has shown what the gap cost.
     accounted: bool,
 }
 
-impl Default for Stretch {
+impl Default for GaplessSegment {
     fn default() -> Self {
-        Stretch { reason: Reason::Incomplete, reported_end: None, accounted: false }
+        GaplessSegment { reason: Reason::Incomplete, reported_end: None, accounted: false }
     }
 }
 
-impl Stretch {
+impl GaplessSegment {
     /// Whether the cycle with that end has been reported already, give or take a quarter of a period.
     fn has_reported(&self, end: i64, period: i64) -> bool {
         self.reported_end.is_some_and(|reported| end <= reported + period / 4)
@@ -246,7 +246,7 @@ impl<B: AsRef<[f32]> + AsMut<[f32]>> CycleState<B> {
             last_command: 0.0,
             counts_before: Counts::default(),
             open: None,
-            stretch: Stretch::default(),
+            gapless: GaplessSegment::default(),
             orphan: None,
             runs: [(0, 0); REMEMBERED_RUNS],
             run_start: 0,
@@ -337,7 +337,7 @@ impl<'m> CycleReader<'m> {
 
     /// Samples that a whole cycle may lack of a part outside of its two strokes that is planned to last `planned_s`: a bin, to which the
     /// strokes' places are certain where a knock falls into one, and what a cycle that runs faster than planned saves there. More
-    /// is a cycle that began before the stretch did, or ends after it.
+    /// is a cycle that began before the gapless segment, or ends after it.
     fn bearable_samples(&self, span: &Span, planned_s: f64) -> i64 {
         let saved_s = (1.0 - self.definition.pace_of(span)).max(0.0) * planned_s;
         self.definition.bin_samples as i64 + libm::round(saved_s * self.definition.sample_rate_hz) as i64
@@ -362,9 +362,9 @@ impl<'m> CycleReader<'m> {
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
         state.load.take(&self.definition, self.areas, state.next, sample);
-        match state.intake.judge(&mut state.counts, sample, self.period_ns) {
-            Verdict::Drop => return,
-            Verdict::Use { command, bridged } => {
+        match state.intake.admit(&mut state.counts, sample, self.period_ns) {
+            Admission::Drop => return,
+            Admission::Use { command, bridged } => {
                 for _ in 0..bridged {
                     let held = state.last_command;
                     self.take(state, held, sink);
@@ -372,7 +372,7 @@ impl<'m> CycleReader<'m> {
                 state.last_ns = sample.time_ns;
                 self.take(state, command, sink);
             }
-            Verdict::Restart { command, reason } => {
+            Admission::Restart { command, reason } => {
                 let lost_ns = sample.time_ns.saturating_sub(state.last_ns).max(0);
                 let lost = libm::round(lost_ns as f64 / self.period_ns) as i64 - 1;
                 self.restart(state, reason, lost.max(0), sink);
@@ -410,8 +410,8 @@ impl<'m> CycleReader<'m> {
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
         match state.segment.flush(&self.definition) {
-            Some(Finding::Cycle(span)) => self.found(state, span, sink),
-            Some(Finding::OrphanedLastStroke(orphan)) => self.orphaned(state, orphan, sink),
+            Some(SegmentEvent::Cycle(span)) => self.found(state, span, sink),
+            Some(SegmentEvent::OrphanedLastStroke(orphan)) => self.orphaned(state, orphan, sink),
             None => {}
         }
         if let Some(span) = state.open.take() {
@@ -433,9 +433,9 @@ impl<'m> CycleReader<'m> {
         }
         self.reject_orphan(state, sink);
         let begins = state.next + lost;
-        state.stretch = Stretch {
+        state.gapless = GaplessSegment {
             reason,
-            reported_end: state.stretch.reported_end.map(|end| end.saturating_sub(begins)),
+            reported_end: state.gapless.reported_end.map(|end| end.saturating_sub(begins)),
             accounted: false,
         };
         state.segment = SegmentState::default();
@@ -472,8 +472,8 @@ impl<'m> CycleReader<'m> {
         state.filled = (state.filled + 1).min(length as i64);
         state.next += 1;
         match state.segment.push(&self.definition, number, filtered) {
-            Some(Finding::Cycle(span)) => self.found(state, span, sink),
-            Some(Finding::OrphanedLastStroke(orphan)) => self.orphaned(state, orphan, sink),
+            Some(SegmentEvent::Cycle(span)) => self.found(state, span, sink),
+            Some(SegmentEvent::OrphanedLastStroke(orphan)) => self.orphaned(state, orphan, sink),
             None => {}
         }
         if let Some(span) = state.open.filter(|span| state.next >= span.end) {
@@ -552,29 +552,29 @@ impl<'m> CycleReader<'m> {
         state.orphan = state.orphan.filter(|orphan| orphan.end <= span.start);
         self.reject_orphan(state, sink);
         if !self.has_begin(&span) {
-            if !state.stretch.has_reported(span.end, self.definition.cycle_samples() as i64) {
-                self.reject(state, span.start, span.end, state.stretch.reason, sink);
+            if !state.gapless.has_reported(span.end, self.definition.cycle_samples() as i64) {
+                self.reject(state, span.start, span.end, state.gapless.reason, sink);
             }
-            state.stretch.accounted = true;
+            state.gapless.accounted = true;
             return;
         }
-        self.account_for_break(state, sink);
+        self.account_for_gap(state, sink);
         state.open = Some(span);
     }
 
-    /// A break that swallowed both strokes of a cycle, or whole cycles, has left nothing to find: the time since
+    /// A gap that swallowed both strokes of a cycle, or whole cycles, has left nothing to find: the time since
     /// the last reported cycle tells.
-    fn account_for_break<B: AsRef<[f32]> + AsMut<[f32]>>(
+    fn account_for_gap<B: AsRef<[f32]> + AsMut<[f32]>>(
         &self,
         state: &mut CycleState<B>,
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
-        let accounted = core::mem::replace(&mut state.stretch.accounted, true);
-        if let Some(end) = state.stretch.reported_end
+        let accounted = core::mem::replace(&mut state.gapless.accounted, true);
+        if let Some(end) = state.gapless.reported_end
             && !accounted
             && -end > self.definition.cycle_samples() as i64 / 2
         {
-            self.reject(state, end, 0, state.stretch.reason, sink);
+            self.reject(state, end, 0, state.gapless.reason, sink);
         }
     }
 
@@ -588,8 +588,8 @@ impl<'m> CycleReader<'m> {
     ) {
         let period = self.definition.cycle_samples() as i64;
         let cycle_end = orphan.end + self.samples_after_last_stroke();
-        if state.stretch.has_reported(cycle_end, period) {
-            state.stretch.accounted = true;
+        if state.gapless.has_reported(cycle_end, period) {
+            state.gapless.accounted = true;
             return;
         }
         match state.orphan {
@@ -608,8 +608,8 @@ impl<'m> CycleReader<'m> {
         if let Some(orphan) = state.orphan.take() {
             let end = orphan.end + self.samples_after_last_stroke();
             let start = end - self.definition.cycle_samples() as i64;
-            let reason = if start < 0 { state.stretch.reason } else { Reason::Incomplete };
-            state.stretch.accounted |= start < 0;
+            let reason = if start < 0 { state.gapless.reason } else { Reason::Incomplete };
+            state.gapless.accounted |= start < 0;
             self.reject(state, start.max(0), end, reason, sink);
         }
     }
@@ -628,7 +628,7 @@ impl<'m> CycleReader<'m> {
         sink: &mut impl FnMut(Outcome<'_>),
     ) {
         state.counts_before = state.counts;
-        state.stretch.reported_end = Some(end);
+        state.gapless.reported_end = Some(end);
         let period_ns = self.period_ns;
         sink(Outcome::Rejected(RejectedCycle {
             start_ns: state.time_ns(start, period_ns),
@@ -661,7 +661,7 @@ impl<'m> CycleReader<'m> {
             return;
         }
         state.counts_before = state.counts;
-        state.stretch.reported_end = Some(span.end);
+        state.gapless.reported_end = Some(span.end);
         sink(Outcome::Valid(ValidCycle { start_ns, end_ns, features: wanted, statistics: &statistics }));
     }
 

@@ -190,7 +190,7 @@ pub struct Span {
 
 /// What a sample reveals about cycles.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Finding {
+pub(crate) enum SegmentEvent {
     /// A cycle, of which the last samples may be still to come.
     Cycle(Span),
     /// A last stroke without its first one at the planned distance.
@@ -270,7 +270,7 @@ impl SegmentState {
         definition: &CycleDefinition<'_>,
         now: i64,
         command: f64,
-    ) -> Option<Finding> {
+    ) -> Option<SegmentEvent> {
         self.bin_sum += command;
         self.bin_fill += 1;
         if self.bin_fill < definition.bin_samples {
@@ -284,7 +284,7 @@ impl SegmentState {
         self.push_bin(definition, now)
     }
 
-    fn push_bin(&mut self, definition: &CycleDefinition<'_>, now: i64) -> Option<Finding> {
+    fn push_bin(&mut self, definition: &CycleDefinition<'_>, now: i64) -> Option<SegmentEvent> {
         for which in 0..2 {
             let correlation = self.correlation(&definition.anchors[which]);
             let [before, peak] = self.correlations[which];
@@ -311,7 +311,7 @@ impl SegmentState {
     }
 
     /// The stream ends: the last stroke that was waiting for a better one is the best that there is.
-    pub(crate) fn flush(&mut self, definition: &CycleDefinition<'_>) -> Option<Finding> {
+    pub(crate) fn flush(&mut self, definition: &CycleDefinition<'_>) -> Option<SegmentEvent> {
         let last = self.last.take()?;
         Some(self.cycle_ending_with(definition, last))
     }
@@ -334,7 +334,7 @@ impl SegmentState {
         self.first[0] = Some(new);
     }
 
-    fn cycle_ending_with(&mut self, definition: &CycleDefinition<'_>, last: Match) -> Finding {
+    fn cycle_ending_with(&mut self, definition: &CycleDefinition<'_>, last: Match) -> SegmentEvent {
         let planned = definition.planned_distance();
         let tolerance = definition.tolerance_samples();
         let mut best: Option<Match> = None;
@@ -350,7 +350,7 @@ impl SegmentState {
         }
         let Some(first) = best else {
             let end = libm::round(last.end) as i64;
-            return Finding::OrphanedLastStroke(Orphan { end, correlation: last.correlation });
+            return SegmentEvent::OrphanedLastStroke(Orphan { end, correlation: last.correlation });
         };
         // What came after the cycle's last stroke is the next cycle's: a last stroke that waits for a better one is confirmed when that
         // cycle has long begun.
@@ -358,7 +358,7 @@ impl SegmentState {
             *slot = slot.filter(|first| first.end > last.end);
         }
         let rate = definition.sample_rate_hz;
-        Finding::Cycle(Span {
+        SegmentEvent::Cycle(Span {
             start: libm::round(first.end - definition.anchors[0].end_s * rate) as i64,
             end: libm::round(last.end + definition.after_last_stroke_s() * rate) as i64,
             anchors: [first.end, last.end],

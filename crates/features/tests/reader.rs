@@ -8,27 +8,27 @@ use proptest::prelude::*;
 use seepd_features::{CycleDefinition, CycleReader, Feature, Outcome, ReaderError};
 use seepd_model::Model;
 use seepd_signals::{Sample, Signal};
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::{Input, Machine, MachineSpec, Schedule};
 
 static MODEL: LazyLock<Model> =
     LazyLock::new(|| Model::from_json(include_bytes!("../../daemon/assets/model.json")).unwrap());
 
-/// A sample every millisecond from the start of the second turn on.
-fn log(turns: &[Turn], sigma: f64) -> Vec<Sample> {
+/// A sample every millisecond from the start of the second run on.
+fn log(runs: &[CycleRun], sigma: f64) -> Vec<Sample> {
     let spec = MachineSpec::default();
     let machine = Machine::<f64>::new(&[&spec]);
     let mut state = machine.start();
-    let all: Vec<Turn> = std::iter::once(turns[0].clone()).chain(turns.iter().cloned()).collect();
+    let all: Vec<CycleRun> = std::iter::once(runs[0].clone()).chain(runs.iter().cloned()).collect();
     let schedule = Schedule::new(&spec.cycle, 1e-3, all.clone());
     let warm_up = schedule.ticks_of(0);
-    let end: u64 = (0..all.len()).map(|turn| schedule.ticks_of(turn)).sum();
+    let end: u64 = (0..all.len()).map(|run| schedule.ticks_of(run)).sum();
     let mut noise = Noise::new(3, 3);
     (0..end)
         .zip(schedule)
-        .map(|(tick, instant)| {
-            let record = machine.tick(&mut state, &Input::gather(&[instant]));
+        .map(|(tick, drive)| {
+            let record = machine.tick(&mut state, &Input::gather(&[drive]));
             let time_ns = (tick as i64 - warm_up as i64) * 1_000_000;
             let mut sample = Sample::command(time_ns, record.command + noise.normal(sigma));
             sample.set(Signal::Demand, record.demand);
@@ -38,7 +38,7 @@ fn log(turns: &[Turn], sigma: f64) -> Vec<Sample> {
         .collect()
 }
 
-static LEAKY: LazyLock<Vec<Sample>> = LazyLock::new(|| log(&vec![Turn::with_leak(5e-7); 6], 0.002));
+static LEAKY: LazyLock<Vec<Sample>> = LazyLock::new(|| log(&vec![CycleRun::with_leak(5e-7); 6], 0.002));
 
 #[derive(Debug, Clone, PartialEq)]
 enum Found {
@@ -117,15 +117,15 @@ fn any_start_within_the_cycle_loses_at_most_the_cycle_under_way() {
 
 #[test]
 fn pauses_and_varying_periods_lose_nothing() {
-    let turns: Vec<Turn> = (0..8)
-        .map(|k| Turn {
+    let runs: Vec<CycleRun> = (0..8)
+        .map(|k| CycleRun {
             pause_s: [0.0, 0.4, 7.3, 0.0, 61.0, 0.1, 2.0, 0.0][k],
             stretch: [1.0, 1.03, 0.97, 1.02, 0.98, 1.0, 0.96, 1.04][k],
             load_factor: 1.0 + 0.05 * (k as f64 - 4.0) / 4.0,
-            ..Turn::with_leak(2e-7)
+            ..CycleRun::with_leak(2e-7)
         })
         .collect();
-    for samples in [log(&turns, 0.003), command_only(&log(&turns, 0.01))] {
+    for samples in [log(&runs, 0.003), command_only(&log(&runs, 0.01))] {
         let found = read(&samples);
         assert_eq!(starts(&found).len(), 8, "{:?}", rejections(&found));
     }
@@ -136,7 +136,7 @@ fn pauses_and_varying_periods_lose_nothing() {
 fn every_leak_and_noise_is_segmented() {
     for leak in [0.0, 5e-8, 1e-6, 4e-6, 1e-5] {
         for sigma in [0.0, 0.01] {
-            let found = read(&command_only(&log(&vec![Turn::with_leak(leak); 4], sigma)));
+            let found = read(&command_only(&log(&vec![CycleRun::with_leak(leak); 4], sigma)));
             assert_eq!(starts(&found).len(), 4, "leak {leak}, noise {sigma}: {:?}", rejections(&found));
             assert_eq!(rejections(&found).len(), 0, "leak {leak}, noise {sigma}");
         }
@@ -402,18 +402,18 @@ fn property_no_whole_cycle_is_lost() {
         for (variation, longest_pause_s) in [(0.0, 0.0), (0.03, 0.0), (0.05, 0.0), (0.05, 0.5), (0.05, 12.0)]
         {
             let mut noise = Noise::new(seed, 5);
-            let turns: Vec<Turn> = (0..12)
-                .map(|_| Turn {
+            let runs: Vec<CycleRun> = (0..12)
+                .map(|_| CycleRun {
                     stretch: 1.0 + noise.normal(variation).clamp(-0.08, 0.08),
                     pause_s: longest_pause_s * noise.uniform(0.0, 1.0),
-                    ..Turn::with_leak(leak)
+                    ..CycleRun::with_leak(leak)
                 })
                 .collect();
-            let smooth = command_only(&log(&turns, 0.003));
+            let smooth = command_only(&log(&runs, 0.003));
             for knock in [0.0, 0.2] {
                 let mut samples = smooth.clone();
-                for turn in 0..turns.len() {
-                    let at_ms = begins_ms(&turns, turn) + noise.uniform(0.0, 9_000.0) as i64;
+                for run in 0..runs.len() {
+                    let at_ms = begins_ms(&runs, run) + noise.uniform(0.0, 9_000.0) as i64;
                     knock_at(&mut samples, at_ms as usize, knock);
                 }
                 let found = read(&samples);
@@ -421,19 +421,19 @@ fn property_no_whole_cycle_is_lost() {
                     "leak {leak}, variation {variation}, pauses to {longest_pause_s} s, knocks of {knock}"
                 );
                 assert_eq!(rejections(&found), [""; 0], "{context}: starts {:?}", starts(&found));
-                assert_eq!(starts(&found).len(), turns.len(), "{context}");
-                for (turn, start_ms) in starts(&found).into_iter().enumerate() {
+                assert_eq!(starts(&found).len(), runs.len(), "{context}");
+                for (run, start_ms) in starts(&found).into_iter().enumerate() {
                     // Counted back from the first stroke as planned: off by up to 8 % of its 2.65 s.
-                    assert!((start_ms - begins_ms(&turns, turn)).abs() < 250, "{context}");
+                    assert!((start_ms - begins_ms(&runs, run)).abs() < 250, "{context}");
                 }
             }
         }
     }
 }
 
-/// Start of a turn, ms.
-fn begins_ms(turns: &[Turn], turn: usize) -> i64 {
-    turns[..turn].iter().map(|turn| ((10.0 * turn.stretch + turn.pause_s) / 1e-3).round() as i64).sum()
+/// Start of a run, ms.
+fn begins_ms(runs: &[CycleRun], run: usize) -> i64 {
+    runs[..run].iter().map(|run| ((10.0 * run.stretch + run.pause_s) / 1e-3).round() as i64).sum()
 }
 
 /// A knock of 60 ms on the command, as of a tool that jumps.

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use seepd_signals::Signal;
 use seepd_sim::DutyCycle;
-use seepd_sim::cycle::Instant;
-use seepd_sim::effects::{About, Parameter};
+use seepd_sim::cycle::DriveSample;
+use seepd_sim::effects::{EffectInfo, Parameter};
 
 use crate::record::Cycle;
 use crate::simulate::View;
@@ -43,7 +43,7 @@ pub type Imbalances = Vec<(&'static str, Vec<f64>)>;
 /// A plant with its controller and duty cycle: parameters with bounds, effects, balances, simulation.
 pub trait Axis: Clone + Send + Sync {
     /// Effects that can be added to it.
-    fn catalogue() -> Vec<&'static About>;
+    fn catalogue() -> Vec<&'static EffectInfo>;
     /// Signals that are compared where a log has them; command and position first.
     fn signals() -> &'static [Signal];
     /// Parameters that retuning may change.
@@ -59,9 +59,9 @@ pub trait Axis: Clone + Send + Sync {
     /// Its effects, to change.
     fn effects_mut(&mut self) -> &mut Values;
     /// An effect's parameter's range on this machine.
-    fn range(&self, effect: &About, parameter: &Parameter) -> (f64, f64);
+    fn range(&self, effect: &EffectInfo, parameter: &Parameter) -> (f64, f64);
     /// Whether an effect's parameter changes anything on this machine.
-    fn acts(&self, effect: &About, parameter: &Parameter) -> bool;
+    fn acts(&self, effect: &EffectInfo, parameter: &Parameter) -> bool;
     /// Its duty cycle.
     fn duty_cycle(&self) -> &DutyCycle;
     /// Controller period, s.
@@ -73,7 +73,7 @@ pub trait Axis: Clone + Send + Sync {
     fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Vec<f64>;
     /// Simulates machines along a drive, closed loop, and bins what they show after the first `warm_up` ticks. A simulation that goes out
     /// of bounds shows NaN.
-    fn run(machines: &[Self], drive: &[Instant], warm_up: usize, signals: &[Signal]) -> Vec<View>;
+    fn run(machines: &[Self], drive: &[DriveSample], warm_up: usize, signals: &[Signal]) -> Vec<View>;
     /// The balances that the signals allow.
     fn imbalances(&self, signals: &[Signal], view: &View) -> Imbalances;
     /// What about a cycle cannot be on such an axis, in a sentence.

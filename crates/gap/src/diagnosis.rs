@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use seepd_sim::effects::About;
+use seepd_sim::effects::EffectInfo;
 
 use crate::axis::Axis;
 use crate::fit::{Fit, Problem, Target, retunable};
@@ -154,8 +154,8 @@ impl<A: Axis> Weighed<A> {
     }
 
     /// Each effect's probability, most likely first: a machine with several shares its own among them, half as much to each later found.
-    fn effects(&self) -> Vec<(&'static About, f64)> {
-        let mut effects: Vec<(&'static About, f64)> = Vec::new();
+    fn effects(&self) -> Vec<(&'static EffectInfo, f64)> {
+        let mut effects: Vec<(&'static EffectInfo, f64)> = Vec::new();
         for (explanation, probability) in &self.explanations {
             let halves: f64 = (0..explanation.effects.len()).map(|place| 0.5f64.powi(place as i32)).sum();
             for (place, effect) in explanation.effects.iter().enumerate() {
@@ -212,7 +212,7 @@ impl<A: Axis> Weighed<A> {
         let Some((best, probability)) = self.explanations.first() else { return };
         let place = |explanation: &Explanation<A>| -> usize {
             let catalogue = A::catalogue();
-            let place_of = |key: &str| catalogue.iter().position(|about| about.key == key).unwrap_or(0);
+            let place_of = |key: &str| catalogue.iter().position(|info| info.key == key).unwrap_or(0);
             explanation.effects.iter().map(|effect| place_of(effect.key)).sum()
         };
         let close = |other: &(Explanation<A>, f64)| {
@@ -365,7 +365,7 @@ impl<A: Axis> Telling<'_, A> {
 
     fn finding(
         &self,
-        effect: &'static About,
+        effect: &'static EffectInfo,
         probability: f64,
         explanation: &Explanation<A>,
         shrink: f64,

@@ -3,8 +3,8 @@
 use rayon::prelude::*;
 use seepd_signals::Signal;
 use seepd_sim::DutyCycle;
-use seepd_sim::cycle::Instant;
-use seepd_sim::effects::{About, Parameter};
+use seepd_sim::cycle::DriveSample;
+use seepd_sim::effects::{EffectInfo, Parameter};
 use seepd_sim::electric::{CATALOGUE, ElectricAxis};
 
 use crate::axis::{Axis, Imbalances, Scale, Tunable, Values};
@@ -15,7 +15,7 @@ use crate::simulate::{View, bins_of};
 const REFERENCE_FORCE_N: f64 = 1e3;
 
 impl Axis for ElectricAxis {
-    fn catalogue() -> Vec<&'static About> {
+    fn catalogue() -> Vec<&'static EffectInfo> {
         CATALOGUE.iter().collect()
     }
 
@@ -69,14 +69,14 @@ impl Axis for ElectricAxis {
     }
 
     /// Forces are in proportion to the drive's.
-    fn range(&self, _effect: &About, parameter: &Parameter) -> (f64, f64) {
+    fn range(&self, _effect: &EffectInfo, parameter: &Parameter) -> (f64, f64) {
         let (low, high) = parameter.range;
         let scale =
             if parameter.unit.starts_with('N') { self.plant.full_force_n / REFERENCE_FORCE_N } else { 1.0 };
         (low * scale, high * scale)
     }
 
-    fn acts(&self, _effect: &About, _parameter: &Parameter) -> bool {
+    fn acts(&self, _effect: &EffectInfo, _parameter: &Parameter) -> bool {
         true
     }
 
@@ -106,7 +106,7 @@ impl Axis for ElectricAxis {
             .collect()
     }
 
-    fn run(machines: &[Self], drive: &[Instant], warm_up: usize, signals: &[Signal]) -> Vec<View> {
+    fn run(machines: &[Self], drive: &[DriveSample], warm_up: usize, signals: &[Signal]) -> Vec<View> {
         let view = |machine: &Self| -> View {
             let mut values = vec![Vec::with_capacity(drive.len() - warm_up); signals.len()];
             machine.follow(drive, |tick, record| {

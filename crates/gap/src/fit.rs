@@ -4,8 +4,8 @@
 //! simulation at a time; here a Jacobian, and the steps of several dampings, are simulated side by side.
 
 use nalgebra::{DMatrix, DVector};
-use seepd_sim::cycle::Instant;
-use seepd_sim::effects::{About, Parameter};
+use seepd_sim::cycle::DriveSample;
+use seepd_sim::effects::{EffectInfo, Parameter};
 use seepd_sim::real::LANES;
 
 use crate::axis::{Axis, Scale, Tunable};
@@ -24,7 +24,7 @@ pub enum Target {
     /// A parameter of the plant.
     Plant(Tunable),
     /// A parameter of an effect.
-    Effect(&'static About, usize),
+    Effect(&'static EffectInfo, usize),
 }
 
 /// A free parameter, in the fit's own coordinate.
@@ -46,7 +46,7 @@ pub fn retunable<A: Axis>(spec: &A) -> Vec<Free> {
 }
 
 /// An effect's parameters.
-pub fn of_effect<A: Axis>(effect: &'static About, spec: &A) -> Vec<Free> {
+pub fn of_effect<A: Axis>(effect: &'static EffectInfo, spec: &A) -> Vec<Free> {
     let of = |(index, parameter): (usize, &Parameter)| {
         let (low, high) = spec.range(effect, parameter);
         let scale =
@@ -66,7 +66,7 @@ fn coordinate(scale: Scale, value: f64) -> f64 {
 }
 
 /// An effect's values on a machine, neutral where none is given.
-pub(crate) fn values_of<A: Axis>(effect: &About, spec: &A) -> Vec<f64> {
+pub(crate) fn values_of<A: Axis>(effect: &EffectInfo, spec: &A) -> Vec<f64> {
     let given = spec.effects().get(effect.key);
     effect
         .parameters
@@ -142,7 +142,7 @@ impl Free {
 pub struct Problem<'r> {
     /// The record.
     pub record: &'r Record,
-    drives: Vec<Vec<Instant>>,
+    drives: Vec<Vec<DriveSample>>,
     shown: Vec<View>,
     /// One over the expected error of each signal, with the square root of the share that a bin counts.
     weights: Vec<f64>,
@@ -217,7 +217,7 @@ impl<'r> Problem<'r> {
 }
 
 fn same_drive(record: &Record, cycles: &[usize]) -> bool {
-    let differs = |of: &dyn Fn(&Instant) -> f64| {
+    let differs = |of: &dyn Fn(&DriveSample) -> f64| {
         let all = || cycles.iter().flat_map(|cycle| record.cycles[*cycle].drive.iter().step_by(10).map(of));
         let range = all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min);
         let Some(first) = cycles.first().map(|cycle| &record.cycles[*cycle].drive) else { return false };
@@ -228,19 +228,19 @@ fn same_drive(record: &Record, cycles: &[usize]) -> bool {
             (square / n).sqrt() > SAME_DRIVE * range
         })
     };
-    !differs(&|instant| instant.demand_m) && !differs(&|instant| instant.load_n)
+    !differs(&|sample| sample.demand_m) && !differs(&|sample| sample.load_n)
 }
 
-fn mean_drive(record: &Record, cycles: &[usize]) -> Vec<Instant> {
+fn mean_drive(record: &Record, cycles: &[usize]) -> Vec<DriveSample> {
     let mut mean = record.cycles[cycles[0]].drive.clone();
     let n = cycles.len() as f64;
-    for (tick, instant) in mean.iter_mut().enumerate() {
-        let of = |pick: &dyn Fn(&Instant) -> f64| {
+    for (tick, sample) in mean.iter_mut().enumerate() {
+        let of = |pick: &dyn Fn(&DriveSample) -> f64| {
             cycles.iter().map(|cycle| pick(&record.cycles[*cycle].drive[tick])).sum::<f64>() / n
         };
-        instant.demand_m = of(&|instant| instant.demand_m);
-        instant.load_n = of(&|instant| instant.load_n);
-        instant.load_end_n = of(&|instant| instant.load_end_n);
+        sample.demand_m = of(&|sample| sample.demand_m);
+        sample.load_n = of(&|sample| sample.load_n);
+        sample.load_end_n = of(&|sample| sample.load_end_n);
     }
     mean
 }

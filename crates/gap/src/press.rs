@@ -2,10 +2,10 @@
 
 use rayon::prelude::*;
 use seepd_signals::Signal;
-use seepd_sim::Record as Tick;
+use seepd_sim::SimulatedSignals;
 use seepd_sim::batch::follow;
-use seepd_sim::cycle::Instant;
-use seepd_sim::effects::{self, About, Parameter};
+use seepd_sim::cycle::DriveSample;
+use seepd_sim::effects::{self, EffectInfo, Parameter};
 use seepd_sim::real::{LANES, Lanes};
 use seepd_sim::{DutyCycle, MachineSpec, PlantParameters};
 
@@ -40,8 +40,8 @@ fn symbol_of(key: &'static str) -> &'static str {
 }
 
 impl Axis for MachineSpec {
-    fn catalogue() -> Vec<&'static About> {
-        effects::ALL.iter().map(|effect| effect.about()).collect()
+    fn catalogue() -> Vec<&'static EffectInfo> {
+        effects::ALL.iter().map(|effect| effect.info()).collect()
     }
 
     fn signals() -> &'static [Signal] {
@@ -96,7 +96,7 @@ impl Axis for MachineSpec {
     }
 
     /// Times end with the cycle, places with the stroke.
-    fn range(&self, _effect: &About, parameter: &Parameter) -> (f64, f64) {
+    fn range(&self, _effect: &EffectInfo, parameter: &Parameter) -> (f64, f64) {
         let (low, high) = parameter.range;
         match parameter.name {
             "start_s" | "duration_s" => (low, high.min(self.cycle.period_s)),
@@ -106,7 +106,7 @@ impl Axis for MachineSpec {
     }
 
     /// A factor on a gain of 0 is none.
-    fn acts(&self, effect: &About, parameter: &Parameter) -> bool {
+    fn acts(&self, effect: &EffectInfo, parameter: &Parameter) -> bool {
         !(effect.key == "controller_gains" && parameter.name == "kd" && self.controller.kd == 0.0)
     }
 
@@ -141,7 +141,7 @@ impl Axis for MachineSpec {
         command.iter().zip(position_m).enumerate().map(of).collect()
     }
 
-    fn run(machines: &[Self], drive: &[Instant], warm_up: usize, signals: &[Signal]) -> Vec<View> {
+    fn run(machines: &[Self], drive: &[DriveSample], warm_up: usize, signals: &[Signal]) -> Vec<View> {
         let ticks = drive.len() - warm_up;
         machines
             .par_chunks(LANES)
@@ -185,7 +185,7 @@ impl Axis for MachineSpec {
     }
 }
 
-fn of(record: &Tick<Lanes>, signal: Signal) -> Lanes {
+fn of(record: &SimulatedSignals<Lanes>, signal: Signal) -> Lanes {
     match signal {
         Signal::Command => record.command,
         Signal::Demand => record.demand,

@@ -1,7 +1,7 @@
 //! A log, aligned with the duty cycle and cut into cycles.
 
 use seepd_signals::Signal;
-use seepd_sim::cycle::Instant;
+use seepd_sim::cycle::DriveSample;
 
 use crate::axis::Axis;
 use crate::simulate::bins_of;
@@ -79,7 +79,7 @@ pub struct Cycle {
     /// Mean of each compared signal in each bin, by place in [`Record::signals`].
     pub bins: Vec<Vec<f64>>,
     /// Demand and load at each tick.
-    pub drive: Vec<Instant>,
+    pub drive: Vec<DriveSample>,
 }
 
 /// A log ready for diagnosis.
@@ -368,8 +368,8 @@ fn cut<A: Axis>(log: &Log, spec: &A, signals: &[Signal], start: usize, ticks: us
         None => spec.duty_cycle().load_n((tick % ticks) as f64 * period_s),
     };
     let drive = (0..ticks)
-        .map(|tick| Instant {
-            turn: 0,
+        .map(|tick| DriveSample {
+            run: 0,
             at_s: tick as f64 * period_s,
             demand_m: demand
                 .as_ref()

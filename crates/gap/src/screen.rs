@@ -1,7 +1,7 @@
 //! Which effects are worth a fit: what each explains of the gap beyond what retuning explains.
 
 use nalgebra::{DMatrix, DVector};
-use seepd_sim::effects::About;
+use seepd_sim::effects::EffectInfo;
 
 use crate::axis::Axis;
 use crate::fit::{Fit, Problem, normal_matrix};
@@ -10,7 +10,7 @@ use crate::fit::{Fit, Problem, normal_matrix};
 #[derive(Clone)]
 pub struct Candidate {
     /// The effect.
-    pub effect: &'static About,
+    pub effect: &'static EffectInfo,
     /// Its values.
     pub values: Vec<f64>,
     /// How much of the retuned cost it takes away, to first order.
@@ -34,7 +34,7 @@ const WAVES: usize = 192;
 
 /// Screens the catalogue, but for some effects, on the retuned machine; the most promising first.
 pub fn screen<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, without: &[String]) -> Vec<Candidate> {
-    let mut tried: Vec<(&'static About, Vec<f64>)> = Vec::new();
+    let mut tried: Vec<(&'static EffectInfo, Vec<f64>)> = Vec::new();
     for effect in A::catalogue() {
         // What the plant file has already is part of the plant.
         if !retuned.spec.effects().contains_key(effect.key) && !without.iter().any(|key| key == effect.key) {
@@ -63,7 +63,7 @@ pub fn screen<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, without: &[Strin
 }
 
 /// The machine with an effect at these values.
-pub(crate) fn with<A: Axis>(spec: &A, effect: &About, values: &[f64]) -> A {
+pub(crate) fn with<A: Axis>(spec: &A, effect: &EffectInfo, values: &[f64]) -> A {
     let mut spec = spec.clone();
     let table = spec.effects_mut().entry(effect.key.into()).or_default();
     for (parameter, value) in effect.parameters.iter().zip(values) {
@@ -73,7 +73,7 @@ pub(crate) fn with<A: Axis>(spec: &A, effect: &About, values: &[f64]) -> A {
 }
 
 /// Combinations of the parameters' levels.
-fn levels<A: Axis>(effect: &About, spec: &A) -> Vec<Vec<f64>> {
+fn levels<A: Axis>(effect: &EffectInfo, spec: &A) -> Vec<Vec<f64>> {
     let mut combinations: Vec<Vec<f64>> = vec![Vec::new()];
     for (index, parameter) in effect.parameters.iter().enumerate() {
         let (low, high) = spec.range(effect, parameter);

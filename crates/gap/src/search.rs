@@ -1,7 +1,7 @@
 //! The search for machines that explain a record: one effect beside other parameters, then two and three.
 
 use rayon::prelude::*;
-use seepd_sim::effects::About;
+use seepd_sim::effects::EffectInfo;
 
 use crate::axis::Axis;
 use crate::diagnosis::Settings;
@@ -13,7 +13,7 @@ use crate::screen::{Candidate, screen, with};
 #[derive(Clone)]
 pub struct Explanation<A> {
     /// Effects, the first found first.
-    pub effects: Vec<&'static About>,
+    pub effects: Vec<&'static EffectInfo>,
     /// The machine.
     pub fit: Fit<A>,
 }
@@ -141,7 +141,12 @@ fn single_effects<A: Axis>(
 }
 
 /// The machine with a further effect, its parameters free.
-fn beside<A: Axis>(problem: &Problem<'_>, start: &Fit<A>, effect: &'static About, values: &[f64]) -> Fit<A> {
+fn beside<A: Axis>(
+    problem: &Problem<'_>,
+    start: &Fit<A>,
+    effect: &'static EffectInfo,
+    values: &[f64],
+) -> Fit<A> {
     let machine = with(&start.spec, effect, values);
     start.extended(problem, &machine, of_effect(effect, &machine))
 }

@@ -1,6 +1,6 @@
 //! How far the gap shrinks on cycles that nothing was fitted to, and which effect takes which part of it.
 
-use seepd_sim::cycle::Instant;
+use seepd_sim::cycle::DriveSample;
 
 use crate::axis::Axis;
 use crate::fit::{Fit, Problem};
@@ -24,7 +24,7 @@ impl HeldOut<'_> {
     pub fn gaps<A: Axis>(&self, machines: &[A]) -> Vec<Vec<f64>> {
         let record = self.record;
         let mut sums = vec![vec![0.0; record.signals.len()]; machines.len()];
-        let mut simulated: Option<(&[Instant], Vec<View>)> = None;
+        let mut simulated: Option<(&[DriveSample], Vec<View>)> = None;
         for cycle in self.cycles {
             let cycle = &record.cycles[*cycle];
             // Cycles with the very same drive have the very same simulation.

@@ -1,7 +1,7 @@
 //! Machines simulated along a recorded drive, closed loop, and what they show in bins.
 
 use seepd_signals::Signal;
-use seepd_sim::cycle::Instant;
+use seepd_sim::cycle::DriveSample;
 
 use crate::axis::Axis;
 
@@ -15,16 +15,16 @@ pub(crate) fn bins_of<'v>(signals: &[Signal], signal: Signal, view: &'v View) ->
 
 /// Simulates each machine over the drive, after a warm-up with the end of the same drive, and bins its signals. A simulation that goes
 /// out of bounds shows NaN.
-pub fn views<A: Axis>(machines: &[A], drive: &[Instant], signals: &[Signal]) -> Vec<View> {
+pub fn views<A: Axis>(machines: &[A], drive: &[DriveSample], signals: &[Signal]) -> Vec<View> {
     let warm_up = &drive[last_stroke(drive)..];
-    let driven: Vec<Instant> = warm_up.iter().chain(drive).copied().collect();
+    let driven: Vec<DriveSample> = warm_up.iter().chain(drive).copied().collect();
     A::run(machines, &driven, warm_up.len(), signals)
 }
 
 /// Where a warm-up begins: before the last stroke, which wipes out how a machine was started. From there the command is within 5e-5 of
 /// its range of what it is after a whole cycle, on the default duty cycle.
-fn last_stroke(drive: &[Instant]) -> usize {
-    let demands = || drive.iter().map(|instant| instant.demand_m);
+fn last_stroke(drive: &[DriveSample]) -> usize {
+    let demands = || drive.iter().map(|sample| sample.demand_m);
     let (low, high) =
         demands().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
     let end = demands().next_back().unwrap_or(0.0);

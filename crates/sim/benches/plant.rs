@@ -4,7 +4,7 @@
 
 use divan::counter::ItemsCount;
 use seepd_sim::batch::{Job, run_lanes};
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::real::LANES;
 use seepd_sim::{Input, Machine, MachineSpec, Schedule};
 
@@ -19,10 +19,10 @@ fn scalar_cycle(bencher: divan::Bencher<'_, '_>) {
     let spec = MachineSpec::default();
     let machine = Machine::<f64>::new(&[&spec]);
     bencher.counter(ItemsCount::new(TICKS * 10)).bench_local(|| {
-        let schedule = Schedule::new(&spec.cycle, 1e-3, vec![Turn::with_leak(1e-6)]);
+        let schedule = Schedule::new(&spec.cycle, 1e-3, vec![CycleRun::with_leak(1e-6)]);
         let mut state = machine.start();
-        for instant in schedule.take(TICKS as usize) {
-            divan::black_box(machine.tick(&mut state, &Input::gather(&[instant])));
+        for sample in schedule.take(TICKS as usize) {
+            divan::black_box(machine.tick(&mut state, &Input::gather(&[sample])));
         }
     });
 }
@@ -32,7 +32,7 @@ fn batched_cycle(bencher: divan::Bencher<'_, '_>) {
     let jobs: Vec<Job> = (0..LANES)
         .map(|lane| Job {
             spec: MachineSpec::default(),
-            turns: vec![Turn::with_leak(1e-6 * lane as f64)],
+            runs: vec![CycleRun::with_leak(1e-6 * lane as f64)],
             start_tick: 0,
             skip_ticks: 0,
             record_ticks: TICKS,

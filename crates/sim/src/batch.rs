@@ -6,8 +6,8 @@
 
 use rayon::prelude::*;
 
-use crate::cycle::{Instant, Schedule, Turn};
-use crate::machine::{Input, Machine, Record};
+use crate::cycle::{CycleRun, DriveSample, Schedule};
+use crate::machine::{Input, Machine, SimulatedSignals};
 use crate::real::{LANES, Lanes, Real};
 use crate::simd::widest;
 use crate::spec::MachineSpec;
@@ -17,13 +17,13 @@ use crate::spec::MachineSpec;
 pub struct Job {
     /// The machine.
     pub spec: MachineSpec,
-    /// Its turns; see [`Schedule::new`].
-    pub turns: Vec<Turn>,
-    /// Tick of the first turn at which the run begins: the machine stands at rest there, under the load of the turn.
+    /// Its runs; see [`Schedule::new`].
+    pub runs: Vec<CycleRun>,
+    /// Tick of the first run at which the simulation begins: the machine is at rest there, under the load of that run.
     pub start_tick: u64,
-    /// How many ticks to run without recording.
+    /// How many ticks to simulate before recording.
     pub skip_ticks: u64,
-    /// How many ticks to record after that.
+    /// How many ticks to signals after that.
     pub record_ticks: u64,
 }
 
@@ -35,7 +35,7 @@ pub fn commands<R: Send>(jobs: &[Job], reduce: impl Fn(usize, &[f64]) -> R + Syn
         .flat_map_iter(|(chunk, jobs)| {
             let mut commands: Vec<Vec<f64>> =
                 jobs.iter().map(|job| Vec::with_capacity(job.record_ticks as usize)).collect();
-            run_lanes(jobs, |lane, record| commands[lane].push(record.command.0[lane]));
+            run_lanes(jobs, |lane, signals| commands[lane].push(signals.command.0[lane]));
             let reduced: Vec<R> =
                 commands.iter().enumerate().map(|(lane, c)| reduce(chunk * LANES + lane, c)).collect();
             reduced
@@ -46,31 +46,31 @@ pub fn commands<R: Send>(jobs: &[Job], reduce: impl Fn(usize, &[f64]) -> R + Syn
 /// Runs at most [`LANES`] jobs side by side and hands each recorded tick of each job to `sink` with its lane.
 ///
 /// Jobs beyond the lanes are not run; the callers chunk.
-pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &Record<Lanes>)) {
+pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &SimulatedSignals<Lanes>)) {
     let specs: Vec<&MachineSpec> = jobs.iter().map(|job| &job.spec).collect();
     let machine = Machine::<Lanes>::new(&specs);
     let mut schedules: Vec<Schedule> = jobs
         .iter()
         .map(|job| {
-            Schedule::new(&job.spec.cycle, job.spec.controller.period_s, job.turns.clone())
+            Schedule::new(&job.spec.cycle, job.spec.controller.period_s, job.runs.clone())
                 .starting_at(job.start_tick)
         })
         .collect();
     let end = jobs.iter().map(|job| job.skip_ticks + job.record_ticks).max().unwrap_or(0);
-    let mut instants: Vec<Instant> =
+    let mut samples: Vec<DriveSample> =
         schedules.iter().filter_map(|schedule| schedule.clone().next()).collect();
-    let mut state = machine.start_at(&Input::gather(&instants));
+    let mut state = machine.start_at(&Input::gather(&samples));
     // A block of ticks at a time runs under the widest instructions; the sink is called outside of them.
-    let mut block: Vec<Record<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
+    let mut block: Vec<SimulatedSignals<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     let mut inputs: Vec<Input<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     let mut tick = 0;
     while tick < end {
         let ticks = BLOCK_TICKS.min((end - tick) as usize);
         inputs.clear();
         for _ in 0..ticks {
-            instants.clear();
-            instants.extend(schedules.iter_mut().filter_map(Iterator::next));
-            inputs.push(Input::gather(&instants));
+            samples.clear();
+            samples.extend(schedules.iter_mut().filter_map(Iterator::next));
+            inputs.push(Input::gather(&samples));
         }
         block.clear();
         widest(
@@ -81,11 +81,11 @@ pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &Record<Lanes>)) {
                 }
             },
         );
-        for (offset, record) in block.iter().enumerate() {
+        for (offset, signals) in block.iter().enumerate() {
             let at = tick + offset as u64;
             for (lane, job) in jobs.iter().enumerate().take(LANES) {
                 if at >= job.skip_ticks && at < job.skip_ticks + job.record_ticks {
-                    sink(lane, record);
+                    sink(lane, signals);
                 }
             }
         }
@@ -96,7 +96,11 @@ pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &Record<Lanes>)) {
 /// Runs at most [`LANES`] machines side by side along the same drive, each with its own leak, and hands each tick to `sink` with its number.
 ///
 /// Machines beyond the lanes are not run; the callers chunk.
-pub fn follow(machines: &[MachineSpec], drive: &[Instant], mut sink: impl FnMut(usize, &Record<Lanes>)) {
+pub fn follow(
+    machines: &[MachineSpec],
+    drive: &[DriveSample],
+    mut sink: impl FnMut(usize, &SimulatedSignals<Lanes>),
+) {
     let specs: Vec<&MachineSpec> = machines.iter().collect();
     let machine = Machine::<Lanes>::new(&specs);
     let a_leak = Lanes::from_lanes(|lane| specs[lane.min(specs.len() - 1)].plant.leak_area_m2);
@@ -104,20 +108,20 @@ pub fn follow(machines: &[MachineSpec], drive: &[Instant], mut sink: impl FnMut(
         Some(first) => machine.start_at(&Input::gather(std::slice::from_ref(first))),
         None => return,
     };
-    let mut block: Vec<Record<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
-    for (number, instants) in drive.chunks(BLOCK_TICKS).enumerate() {
+    let mut block: Vec<SimulatedSignals<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
+    for (number, samples) in drive.chunks(BLOCK_TICKS).enumerate() {
         block.clear();
         widest(
             #[inline(always)]
             || {
-                for instant in instants {
-                    let input = Input { a_leak, ..Input::gather(std::slice::from_ref(instant)) };
+                for sample in samples {
+                    let input = Input { a_leak, ..Input::gather(std::slice::from_ref(sample)) };
                     block.push(machine.tick(&mut state, &input));
                 }
             },
         );
-        for (offset, record) in block.iter().enumerate() {
-            sink(number * BLOCK_TICKS + offset, record);
+        for (offset, signals) in block.iter().enumerate() {
+            sink(number * BLOCK_TICKS + offset, signals);
         }
     }
 }

@@ -90,23 +90,23 @@ impl DutyCycle {
     }
 }
 
-/// One run of the duty cycle: how this one differs from the plan.
+/// One run of the duty cycle and how it differs from the plan.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Turn {
+pub struct CycleRun {
     /// Leak area, m².
     pub leak_area_m2: f64,
     /// Load over the plan's load, 1.
     pub load_factor: f64,
-    /// Time scale: the turn lasts `stretch` · period.
+    /// Time scale: the run lasts `stretch` · period.
     pub stretch: f64,
-    /// Standstill after the turn, s.
+    /// Standstill after the run, s.
     pub pause_s: f64,
 }
 
-impl Turn {
-    /// A turn as planned with that leak.
+impl CycleRun {
+    /// A run as planned with that leak.
     pub fn with_leak(leak_area_m2: f64) -> Self {
-        Turn { leak_area_m2, load_factor: 1.0, stretch: 1.0, pause_s: 0.0 }
+        CycleRun { leak_area_m2, load_factor: 1.0, stretch: 1.0, pause_s: 0.0 }
     }
 }
 
@@ -115,19 +115,19 @@ impl Turn {
 pub struct Schedule {
     cycle: DutyCycle,
     period_s: f64,
-    turns: Vec<Turn>,
-    turn: usize,
+    runs: Vec<CycleRun>,
+    run: usize,
     tick: u64,
-    ticks_of_turn: u64,
+    ticks_of_run: u64,
     /// Load at the tick, N: the end of the one before.
     load_n: f64,
 }
 
-/// The drive at one controller tick.
+/// The drive at one controller tick: what the machine is asked for and what acts on it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Instant {
-    /// Number of the turn, from 0.
-    pub turn: usize,
+pub struct DriveSample {
+    /// Number of the run, from 0.
+    pub run: usize,
     /// Time in the duty cycle as planned, s.
     pub at_s: f64,
     /// Demand, m.
@@ -141,67 +141,67 @@ pub struct Instant {
 }
 
 impl Schedule {
-    /// The turns of a duty cycle under a controller of that period, s. After the last turn it goes on with
-    /// repetitions of that one; no turns at all means turns as planned without a leak.
-    pub fn new(cycle: &DutyCycle, controller_period_s: f64, mut turns: Vec<Turn>) -> Self {
-        if turns.is_empty() {
-            turns.push(Turn::with_leak(0.0));
+    /// The runs of a duty cycle under a controller of that period, s. After the last run it goes on with
+    /// repetitions of that one; no runs at all means runs as planned without a leak.
+    pub fn new(cycle: &DutyCycle, controller_period_s: f64, mut runs: Vec<CycleRun>) -> Self {
+        if runs.is_empty() {
+            runs.push(CycleRun::with_leak(0.0));
         }
         let mut schedule = Schedule {
             cycle: cycle.clone(),
             period_s: controller_period_s,
-            turns,
-            turn: 0,
+            runs,
+            run: 0,
             tick: 0,
-            ticks_of_turn: 0,
+            ticks_of_run: 0,
             load_n: 0.0,
         };
-        schedule.ticks_of_turn = schedule.ticks_of(0);
+        schedule.ticks_of_run = schedule.ticks_of(0);
         schedule.load_n = schedule.load_at(0, 0);
         schedule
     }
 
-    /// The same drive from a tick of the first turn on.
+    /// The same drive from a tick of the first run on.
     #[must_use]
     pub fn starting_at(mut self, tick: u64) -> Self {
-        self.tick = tick.min(self.ticks_of_turn - 1);
+        self.tick = tick.min(self.ticks_of_run - 1);
         self.load_n = self.load_at(0, self.tick);
         self
     }
 
-    fn at(&self, turn: usize) -> &Turn {
-        &self.turns[turn.min(self.turns.len() - 1)]
+    fn at(&self, run: usize) -> &CycleRun {
+        &self.runs[run.min(self.runs.len() - 1)]
     }
 
-    /// Controller ticks of a turn, its pause included.
-    pub fn ticks_of(&self, turn: usize) -> u64 {
-        let turn = self.at(turn);
-        ((self.cycle.period_s * turn.stretch + turn.pause_s) / self.period_s).round().max(1.0) as u64
+    /// Controller ticks of a run, its pause included.
+    pub fn ticks_of(&self, run: usize) -> u64 {
+        let run = self.at(run);
+        ((self.cycle.period_s * run.stretch + run.pause_s) / self.period_s).round().max(1.0) as u64
     }
 
-    fn load_at(&self, turn: usize, tick: u64) -> f64 {
-        let of = self.at(turn);
+    fn load_at(&self, run: usize, tick: u64) -> f64 {
+        let of = self.at(run);
         self.cycle.load_n(tick as f64 * self.period_s / of.stretch) * of.load_factor
     }
 }
 
 impl Iterator for Schedule {
-    type Item = Instant;
+    type Item = DriveSample;
 
-    fn next(&mut self) -> Option<Instant> {
-        let (turn, tick) = (self.turn, self.tick);
+    fn next(&mut self) -> Option<DriveSample> {
+        let (run, tick) = (self.run, self.tick);
         self.tick += 1;
-        if self.tick == self.ticks_of_turn {
-            self.turn += 1;
+        if self.tick == self.ticks_of_run {
+            self.run += 1;
             self.tick = 0;
-            self.ticks_of_turn = self.ticks_of(self.turn);
+            self.ticks_of_run = self.ticks_of(self.run);
         }
-        let load_end_n = self.load_at(self.turn, self.tick);
+        let load_end_n = self.load_at(self.run, self.tick);
         let load_n = std::mem::replace(&mut self.load_n, load_end_n);
-        let of = self.at(turn);
+        let of = self.at(run);
         let at_s = tick as f64 * self.period_s / of.stretch;
-        Some(Instant {
-            turn,
+        Some(DriveSample {
+            run,
             at_s,
             demand_m: self.cycle.demand_m(at_s),
             load_n,

@@ -12,8 +12,8 @@ use std::collections::BTreeMap;
 use seepd_settings::{parse_toml, unknown_key};
 use serde::{Deserialize, Serialize};
 
-use crate::cycle::{DutyCycle, Instant};
-use crate::effects::{About, Equation, Parameter};
+use crate::cycle::{DriveSample, DutyCycle};
+use crate::effects::{EffectInfo, Equation, Parameter};
 use crate::spec::SpecError;
 
 /// The machine: the content of a plant file with `kind = "electric_axis"`.
@@ -82,15 +82,15 @@ macro_rules! parameter {
 }
 
 /// What can be added to the axis.
-pub static CATALOGUE: [About; 5] = [
-    About {
+pub static CATALOGUE: [EffectInfo; 5] = [
+    EffectInfo {
         key: "coulomb_friction",
         parameters: &[parameter!("force_n", "N", 0.0, 0.0, 300.0)],
         law: "force −= force_n · tanh(v / 1 mm/s)",
         signature: "the command steps at every reversal by the same amount at every speed",
         equation: Equation::Force,
     },
-    About {
+    EffectInfo {
         key: "stribeck_friction",
         parameters: &[
             parameter!("force_n", "N", 0.0, 0.0, 300.0),
@@ -101,21 +101,21 @@ pub static CATALOGUE: [About; 5] = [
         signature: "as Coulomb friction, with a peak as each stroke begins and ends",
         equation: Equation::Force,
     },
-    About {
+    EffectInfo {
         key: "force_offset",
         parameters: &[parameter!("force_n", "N", 0.0, -200.0, 200.0)],
         law: "force += force_n: weight of an inclined axis, a cable's pull, a drive's zero",
         signature: "the command is off by the same amount in every phase",
         equation: Equation::Force,
     },
-    About {
+    EffectInfo {
         key: "asymmetric_friction",
         parameters: &[parameter!("difference_n", "N", 0.0, -200.0, 200.0)],
         law: "friction of difference_n forward where it is positive, of −difference_n backward where it is negative; none the other way",
         signature: "the command is off by the same amount in all motion one way, and right the other way and at rest",
         equation: Equation::Force,
     },
-    About {
+    EffectInfo {
         key: "position_friction",
         parameters: &[
             parameter!("force_n", "N", 0.0, 0.0, 300.0),
@@ -142,7 +142,7 @@ struct Effects {
 
 /// What is logged at a tick.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ElectricRecord {
+pub struct ElectricSignals {
     /// Drive command, share of full command.
     pub command: f64,
     /// Position, m.
@@ -215,12 +215,13 @@ impl ElectricAxis {
             return Err(SpecError::Structure { line: None, message });
         }
         for (key, values) in &self.effects {
-            let known: Vec<&str> = CATALOGUE.iter().map(|about| about.key).collect();
-            let about = CATALOGUE.iter().find(|about| about.key == key).ok_or_else(|| {
-                SpecError::Structure { line: None, message: format!("effects: {}", unknown_key(key, &known)) }
+            let known: Vec<&str> = CATALOGUE.iter().map(|info| info.key).collect();
+            let info = CATALOGUE.iter().find(|info| info.key == key).ok_or_else(|| SpecError::Structure {
+                line: None,
+                message: format!("effects: {}", unknown_key(key, &known)),
             })?;
             for name in values.keys() {
-                let known: Vec<&str> = about.parameters.iter().map(|parameter| parameter.name).collect();
+                let known: Vec<&str> = info.parameters.iter().map(|parameter| parameter.name).collect();
                 if !known.contains(&name.as_str()) {
                     let message = format!("effects.{key}: {}", unknown_key(name, &known));
                     return Err(SpecError::Structure { line: None, message });
@@ -248,22 +249,22 @@ impl ElectricAxis {
     }
 
     /// Runs the axis along a drive, from rest at its first demand, and hands each tick to `sink` with its number.
-    pub fn follow(&self, drive: &[Instant], mut sink: impl FnMut(usize, ElectricRecord)) {
+    pub fn follow(&self, drive: &[DriveSample], mut sink: impl FnMut(usize, ElectricSignals)) {
         let (plant, controller, numbers) = (&self.plant, &self.controller, self.numbers());
         let steps = controller.steps_per_period.max(1);
         let h = controller.period_s / steps as f64;
-        let mut x = drive.first().map_or(0.0, |instant| instant.demand_m);
+        let mut x = drive.first().map_or(0.0, |sample| sample.demand_m);
         let mut v = 0.0;
-        for (tick, instant) in drive.iter().enumerate() {
-            let speed = controller.position_gain_per_s * (instant.demand_m - x);
+        for (tick, sample) in drive.iter().enumerate() {
+            let speed = controller.position_gain_per_s * (sample.demand_m - x);
             let command = (controller.velocity_gain_s_per_m * (speed - v)).clamp(-1.0, 1.0);
-            sink(tick, ElectricRecord { command, position_m: x });
+            sink(tick, ElectricSignals { command, position_m: x });
             for _ in 0..steps {
                 // Friction is linear in the new speed within the transition: m (v' − v)/h = F − c v', with c = F_v + size/transition.
                 let size = numbers.friction_n(v, x - 0.5 * plant.stroke_m);
                 let slope = size * slope_of_direction(v);
                 let rest = size * direction(v) - slope * v;
-                let push = plant.full_force_n * command + numbers.offset_n + instant.load_n - rest;
+                let push = plant.full_force_n * command + numbers.offset_n + sample.load_n - rest;
                 let resistance = plant.viscous_friction_n_s_per_m + slope;
                 v = (v + h / plant.mass_kg * push) / (1.0 + h / plant.mass_kg * resistance);
                 x += h * v;

@@ -24,7 +24,7 @@ pub mod spec;
 
 pub use controller::Controller;
 pub use cycle::{DutyCycle, Schedule};
-pub use machine::{Input, Machine, MachineState, Record};
+pub use machine::{Input, Machine, MachineState, SimulatedSignals};
 pub use plant::{Plant, PlantParameters, State};
 pub use real::{Lanes, Real};
 pub use spec::{MachineSpec, SpecError};

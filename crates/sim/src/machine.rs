@@ -1,7 +1,7 @@
 //! A machine: plant, controller and effects, advanced one controller tick at a time.
 
 use crate::controller::{Pid, PidState};
-use crate::cycle::Instant;
+use crate::cycle::DriveSample;
 use crate::effects::{self, Constants, Law, Sensing, Substep};
 use crate::plant::{ActingLaws, Drive, Plant, State};
 use crate::real::Real;
@@ -23,10 +23,10 @@ pub struct Input<T> {
 }
 
 impl<T: Real> Input<T> {
-    /// Gathers one machine's instant a lane; a shorter slice repeats its last entry.
+    /// Gathers one drive sample for each lane; a shorter slice repeats its last entry.
     #[inline(always)]
-    pub fn gather(instants: &[Instant]) -> Self {
-        let at = |lane: usize| &instants[lane.min(instants.len() - 1)];
+    pub fn gather(samples: &[DriveSample]) -> Self {
+        let at = |lane: usize| &samples[lane.min(samples.len() - 1)];
         Input {
             demand: T::from_lanes(|lane| at(lane).demand_m),
             load: T::from_lanes(|lane| at(lane).load_n),
@@ -37,9 +37,9 @@ impl<T: Real> Input<T> {
     }
 }
 
-/// What a logger would see at a tick: the state at the tick with the command just computed.
+/// The signals that a logger would see at a tick: the state there with the command just computed.
 #[derive(Debug, Clone, Copy)]
-pub struct Record<T> {
+pub struct SimulatedSignals<T> {
     /// PID valve command, share of full command.
     pub command: T,
     /// Position demand, m.
@@ -150,14 +150,14 @@ impl<T: Real> Machine<T> {
 
     /// One controller tick: measure, compute the command, record, and run the plant to the next tick.
     #[inline(always)]
-    pub fn tick(&self, state: &mut MachineState<T>, input: &Input<T>) -> Record<T> {
+    pub fn tick(&self, state: &mut MachineState<T>, input: &Input<T>) -> SimulatedSignals<T> {
         let mut position = state.plant.x;
         let sensing = Sensing { period: self.period };
         for (law, memory) in self.laws.iter().zip(&mut state.memory) {
             position = law.sense(memory, position, &sensing);
         }
         let command = self.pid.tick(&mut state.pid, input.demand, position);
-        let record = Record {
+        let signals = SimulatedSignals {
             command,
             demand: input.demand,
             position,
@@ -171,7 +171,7 @@ impl<T: Real> Machine<T> {
         };
         self.run(state, command, input);
         state.tick += 1;
-        record
+        signals
     }
 
     /// The plant from one tick to the next under a held command.

@@ -1,6 +1,6 @@
 //! The plant against closed forms: what physics says, no other program asked.
 
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::plant::{Drive, Plant};
 use seepd_sim::{Input, Machine, MachineSpec, PlantParameters, Schedule, State};
 
@@ -98,16 +98,16 @@ fn analytic_energy_balance_over_a_cycle() {
         let machine = Machine::<f64>::new(&[&spec]);
         let mut state = machine.start();
         let (mut delivered, mut accounted) = (0.0, 0.0);
-        for (tick, instant) in
-            Schedule::new(&spec.cycle, 1e-3, vec![Turn::with_leak(leak_area_m2)]).take(20_000).enumerate()
+        for (tick, sample) in
+            Schedule::new(&spec.cycle, 1e-3, vec![CycleRun::with_leak(leak_area_m2)]).take(20_000).enumerate()
         {
             let before = state.plant;
-            let u = machine.tick(&mut state, &Input::gather(&[instant])).command;
+            let u = machine.tick(&mut state, &Input::gather(&[sample])).command;
             if tick < 10_000 {
                 continue;
             }
-            let start = powers(&spec.plant, &before, u, instant.load_n, leak_area_m2);
-            let end = powers(&spec.plant, &state.plant, u, instant.load_end_n, leak_area_m2);
+            let start = powers(&spec.plant, &before, u, sample.load_n, leak_area_m2);
+            let end = powers(&spec.plant, &state.plant, u, sample.load_end_n, leak_area_m2);
             delivered += 0.5e-3 * (start.delivered + end.delivered);
             accounted += 0.5e-3 * (start.lost + end.lost) + stored(&spec.plant, &before, &state.plant);
         }
@@ -225,9 +225,9 @@ fn reference_command_statistics_over_leaks() {
         let spec = MachineSpec::default();
         let machine = Machine::<f64>::new(&[&spec]);
         let mut state = machine.start();
-        let commands: Vec<f64> = Schedule::new(&spec.cycle, 1e-3, vec![Turn::with_leak(leak_area_m2)])
+        let commands: Vec<f64> = Schedule::new(&spec.cycle, 1e-3, vec![CycleRun::with_leak(leak_area_m2)])
             .take(20_000)
-            .map(|instant| machine.tick(&mut state, &Input::gather(&[instant])).command)
+            .map(|sample| machine.tick(&mut state, &Input::gather(&[sample])).command)
             .skip(10_000)
             .collect();
         let m = commands.iter().sum::<f64>() / 1e4;

@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use seepd_sim::batch::{Job, commands};
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::effects;
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
@@ -34,30 +34,30 @@ fn jobs(count: usize) -> Vec<Job> {
                     }
                 }
             }
-            let turns = vec![
-                Turn {
+            let runs = vec![
+                CycleRun {
                     load_factor: noise.factor(0.2),
                     stretch: noise.factor(0.05),
-                    ..Turn::with_leak(1e-5 * noise.uniform(0.0, 1.0))
+                    ..CycleRun::with_leak(1e-5 * noise.uniform(0.0, 1.0))
                 },
-                Turn { pause_s: 0.1, ..Turn::with_leak(1e-6) },
+                CycleRun { pause_s: 0.1, ..CycleRun::with_leak(1e-6) },
             ];
             // Some begin in the middle of their cycle.
             let start_tick = 500 * (index as u64 % 3);
-            Job { spec, turns, start_tick, skip_ticks: 0, record_ticks: TICKS }
+            Job { spec, runs, start_tick, skip_ticks: 0, record_ticks: TICKS }
         })
         .collect()
 }
 
 fn scalar(job: &Job) -> Vec<f64> {
     let machine = Machine::<f64>::new(&[&job.spec]);
-    let mut drive = Schedule::new(&job.spec.cycle, job.spec.controller.period_s, job.turns.clone())
+    let mut drive = Schedule::new(&job.spec.cycle, job.spec.controller.period_s, job.runs.clone())
         .starting_at(job.start_tick)
         .peekable();
     let mut state = machine.start_at(&Input::gather(&[*drive.peek().unwrap()]));
     drive
         .take(TICKS as usize)
-        .map(|instant| machine.tick(&mut state, &Input::gather(&[instant])).command)
+        .map(|sample| machine.tick(&mut state, &Input::gather(&[sample])).command)
         .collect()
 }
 

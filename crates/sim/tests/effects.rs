@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use seepd_sim::batch::{Job, run_lanes};
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::effects::{self, Effect};
 use seepd_sim::{Input, Machine, MachineSpec, Schedule};
 
@@ -22,9 +22,9 @@ fn cycle(spec: &MachineSpec) -> Vec<[f64; 2]> {
     let machine = Machine::<f64>::new(&[spec]);
     let mut state = machine.start();
     let ticks = (spec.cycle.period_s / spec.controller.period_s) as usize;
-    Schedule::new(&spec.cycle, spec.controller.period_s, vec![Turn::with_leak(1e-6)])
+    Schedule::new(&spec.cycle, spec.controller.period_s, vec![CycleRun::with_leak(1e-6)])
         .take(2 * ticks)
-        .map(|instant| machine.tick(&mut state, &Input::gather(&[instant])))
+        .map(|sample| machine.tick(&mut state, &Input::gather(&[sample])))
         .map(|record| [record.command, record.position])
         .skip(ticks)
         .collect()
@@ -36,7 +36,7 @@ fn property_catalogue_is_complete_and_documented() {
     assert_eq!(keys.len(), effects::ALL.len(), "keys are unique");
     for effect in effects::ALL {
         assert!(effect.key().chars().all(|c| c.is_ascii_lowercase() || c == '_'));
-        assert!(effect.about().law.len() > 10 && effect.about().signature.len() > 20, "{}", effect.key());
+        assert!(effect.info().law.len() > 10 && effect.info().signature.len() > 20, "{}", effect.key());
         for parameter in effect.parameters() {
             let (low, high) = parameter.range;
             assert!(low < high && parameter.source.len() > 5, "{}.{}", effect.key(), parameter.name);
@@ -71,7 +71,7 @@ fn neutral_lane_beside_an_acting_one_leaves_every_bit() {
             effect.parameters().iter().map(|p| p.range.0 + 0.5 * (p.range.1 - p.range.0)).collect();
         let jobs = [with(*effect, &strong), MachineSpec::default()].map(|spec| Job {
             spec,
-            turns: vec![Turn::with_leak(1e-6)],
+            runs: vec![CycleRun::with_leak(1e-6)],
             start_tick: 0,
             skip_ticks: 10_000,
             record_ticks: 10_000,

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::{Input, Machine, MachineSpec, Schedule};
 
 /// `reference_`: cycles of an independent implementation of the plant (RK4, 40 steps a millisecond), met
@@ -39,10 +39,10 @@ fn second_cycle(leak_area_m2: f64) -> Vec<[f64; 9]> {
     let spec = MachineSpec::default();
     let machine = Machine::<f64>::new(&[&spec]);
     let mut state = machine.start();
-    Schedule::new(&spec.cycle, spec.controller.period_s, vec![Turn::with_leak(leak_area_m2)])
+    Schedule::new(&spec.cycle, spec.controller.period_s, vec![CycleRun::with_leak(leak_area_m2)])
         .take(20_000)
-        .map(|instant| {
-            let r = machine.tick(&mut state, &Input::gather(&[instant]));
+        .map(|sample| {
+            let r = machine.tick(&mut state, &Input::gather(&[sample]));
             [r.command, r.demand, r.position, r.p_supply, r.p_inlet, r.p_cap, r.p_rod, r.load, r.leak_flow]
         })
         .skip(10_000)

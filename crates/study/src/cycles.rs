@@ -1,8 +1,8 @@
 //! Whole cycles of the press with leaks: demand and load (figure 2), command (figure 5), leak rate (figure 6).
 
 use rayon::prelude::*;
-use seepd_sim::cycle::Turn;
-use seepd_sim::{Input, Machine, MachineSpec, Record, Schedule};
+use seepd_sim::cycle::CycleRun;
+use seepd_sim::{Input, Machine, MachineSpec, Schedule, SimulatedSignals};
 use serde::Serialize;
 
 use crate::{AREAS_M2, geometric};
@@ -51,14 +51,15 @@ pub struct LeakRate {
 }
 
 /// A settled cycle of the machine with a leak, tick by tick.
-pub(crate) fn settled(spec: &MachineSpec, leak_area_m2: f64) -> Vec<Record<f64>> {
+pub(crate) fn settled(spec: &MachineSpec, leak_area_m2: f64) -> Vec<SimulatedSignals<f64>> {
     let machine = Machine::<f64>::new(&[spec]);
     let mut state = machine.start();
-    let schedule = Schedule::new(&spec.cycle, spec.controller.period_s, vec![Turn::with_leak(leak_area_m2)]);
+    let schedule =
+        Schedule::new(&spec.cycle, spec.controller.period_s, vec![CycleRun::with_leak(leak_area_m2)]);
     let mut records = Vec::new();
-    for instant in schedule.take_while(|instant| instant.turn <= WARM_UP) {
-        let record = machine.tick(&mut state, &Input::gather(&[instant]));
-        if instant.turn == WARM_UP {
+    for sample in schedule.take_while(|sample| sample.run <= WARM_UP) {
+        let record = machine.tick(&mut state, &Input::gather(&[sample]));
+        if sample.run == WARM_UP {
             records.push(record);
         }
     }
@@ -68,9 +69,9 @@ pub(crate) fn settled(spec: &MachineSpec, leak_area_m2: f64) -> Vec<Record<f64>>
 /// Figures 2 and 5.
 pub(crate) fn curves(spec: &MachineSpec) -> Vec<CycleCurve> {
     let of = |leak_area_m2: f64| {
-        let records: Vec<Record<f64>> =
+        let records: Vec<SimulatedSignals<f64>> =
             settled(spec, leak_area_m2).into_iter().step_by(DRAWN_EVERY).collect();
-        let signal = |pick: &dyn Fn(&Record<f64>) -> f64| records.iter().map(pick).collect();
+        let signal = |pick: &dyn Fn(&SimulatedSignals<f64>) -> f64| records.iter().map(pick).collect();
         CycleCurve {
             leak_area_m2,
             t_s: (0..records.len()).map(|k| (k * DRAWN_EVERY) as f64 * spec.controller.period_s).collect(),

@@ -1,7 +1,7 @@
 //! The largest leak at which the controller still holds position, by a sweep.
 
 use rayon::prelude::*;
-use seepd_sim::{MachineSpec, Record};
+use seepd_sim::{MachineSpec, SimulatedSignals};
 use serde::Serialize;
 
 use crate::cycles::{LPM_PER_M3_PER_S, orifice_lpm, settled};
@@ -91,8 +91,8 @@ fn hold_ends(spec: &MachineSpec, ticks: usize) -> Vec<std::ops::Range<usize>> {
 }
 
 /// Largest |demand − position| at the end of each hold, m.
-fn hold_errors_m(spec: &MachineSpec, records: &[Record<f64>]) -> Vec<f64> {
-    let error = |record: &Record<f64>| (record.demand - record.position).abs();
+fn hold_errors_m(spec: &MachineSpec, records: &[SimulatedSignals<f64>]) -> Vec<f64> {
+    let error = |record: &SimulatedSignals<f64>| (record.demand - record.position).abs();
     let ends = hold_ends(spec, records.len());
     ends.into_iter().map(|range| records[range].iter().map(error).fold(0.0, f64::max)).collect()
 }
@@ -100,7 +100,7 @@ fn hold_errors_m(spec: &MachineSpec, records: &[Record<f64>]) -> Vec<f64> {
 fn hold(spec: &MachineSpec, leak_area_m2: f64, healthy_m: &[f64]) -> Hold {
     let records = settled(spec, leak_area_m2);
     let errors = hold_errors_m(spec, &records);
-    let flow = |record: &Record<f64>| record.leak_flow.abs() * LPM_PER_M3_PER_S;
+    let flow = |record: &SimulatedSignals<f64>| record.leak_flow.abs() * LPM_PER_M3_PER_S;
     let holding = hold_ends(spec, records.len()).into_iter().flat_map(|range| &records[range]);
     Hold {
         leak_area_m2,

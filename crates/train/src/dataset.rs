@@ -5,7 +5,7 @@ use seepd_features::{CycleDefinition, CycleReader, Kalman, Outcome, Phase, Proje
 use seepd_model::schema::Cycle;
 use seepd_signals::Sample;
 use seepd_sim::batch::{self, Job};
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::{MachineSpec, series};
 
@@ -124,10 +124,10 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
             let planned_ticks = observation.spec.cycle.period_s / observation.spec.controller.period_s;
             let period_ticks = (planned_ticks * observation.stretch).round() as u64;
             let lead = lead(observation) as u64;
-            let turn = Turn {
+            let run = CycleRun {
                 load_factor: observation.load_factor,
                 stretch: observation.stretch,
-                ..Turn::with_leak(observation.leak_area_m2)
+                ..CycleRun::with_leak(observation.leak_area_m2)
             };
             let warm_up_s = observation.stretch * warm_up_from_s(&observation.spec);
             let start_tick = (warm_up_s / observation.spec.controller.period_s) as u64;
@@ -135,7 +135,7 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
             let start_tick = start_tick.min(period_ticks.saturating_sub(lead));
             Job {
                 spec: observation.spec.clone(),
-                turns: vec![turn],
+                runs: vec![run],
                 start_tick,
                 skip_ticks: period_ticks.saturating_sub(start_tick + lead),
                 record_ticks: lead + period_ticks + period_ticks / 10,
@@ -223,10 +223,10 @@ mod tests {
         let whole: Vec<Job> = observations
             .iter()
             .map(|observation| {
-                let turns = vec![Turn::with_leak(observation.leak_area_m2)];
+                let runs = vec![CycleRun::with_leak(observation.leak_area_m2)];
                 Job {
                     spec: observation.spec.clone(),
-                    turns,
+                    runs,
                     start_tick: 0,
                     skip_ticks: 9_000,
                     record_ticks: 12_000,

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use seepd_sim::MachineSpec;
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 
 use super::simulate::{SimulateArguments, write_log};
@@ -59,46 +59,46 @@ pub fn run(arguments: &DemoArguments) -> Result<Outcome, Failure> {
     let mut outputs = Outputs::new(arguments.overwrite, []);
     let log = outputs.claim(&arguments.folder.join("press.mcap"))?;
     let html = outputs.claim(&arguments.folder.join("demo.html"))?;
-    let turns = wear(arguments);
+    let runs = wear(arguments);
     let spec = MachineSpec::default();
     say(&format!("simulating {} cycles of a press whose seal wears …", arguments.cycles))?;
     let simulate =
         SimulateArguments { seed: arguments.seed, command_only: true, ..SimulateArguments::default() };
-    write_log(&log, &simulate, &spec, &turns)?;
+    write_log(&log, &simulate, &spec, &runs)?;
     say(&format!("replaying {} with the embedded model …\n", log.path().display()))?;
-    let page = replay(log.path(), &spec, &turns[1..])?;
+    let page = replay(log.path(), &spec, &runs[1..])?;
     print(&page)?;
     html.write(page.render())?;
     say(&format!("\nlog:  {}\npage: {}", log.path().display(), html.path().display()))?;
     Ok(Outcome::Good)
 }
 
-/// The leak by turn, the warm-up first.
-fn wear(arguments: &DemoArguments) -> Vec<Turn> {
+/// The leak by run, the warm-up first.
+fn wear(arguments: &DemoArguments) -> Vec<CycleRun> {
     let cycles = arguments.cycles as usize;
     let healthy = (HEALTHY_SHARE * cycles as f64) as usize;
     let mut noise = Noise::new(arguments.seed, 3);
-    let turn = |cycle: usize, noise: &mut Noise| {
+    let run = |cycle: usize, noise: &mut Noise| {
         let leak_area_m2 = match cycle.checked_sub(healthy) {
             Some(worn) => {
                 WEAR_M2.0 * (WEAR_M2.1 / WEAR_M2.0).powf(worn as f64 / (cycles - healthy - 1) as f64)
             }
             None => 0.0,
         };
-        Turn { load_factor: noise.factor(LOAD_VARIATION), ..Turn::with_leak(leak_area_m2) }
+        CycleRun { load_factor: noise.factor(LOAD_VARIATION), ..CycleRun::with_leak(leak_area_m2) }
     };
-    std::iter::once(Turn::with_leak(0.0)).chain((0..cycles).map(|cycle| turn(cycle, &mut noise))).collect()
+    std::iter::once(CycleRun::with_leak(0.0)).chain((0..cycles).map(|cycle| run(cycle, &mut noise))).collect()
 }
 
 /// Reads the log as any other; the truth is laid beside the estimates afterwards.
-fn replay(log: &Path, spec: &MachineSpec, turns: &[Turn]) -> Result<DemoPage, Failure> {
+fn replay(log: &Path, spec: &MachineSpec, runs: &[CycleRun]) -> Result<DemoPage, Failure> {
     let config = Config { axis: "demo press".into(), ..Config::default() };
     let models = config.load_models()?;
     let duty_cycles = DutyCycle::all(&models);
     let pipeline_config = PipelineConfig::new(&config, &duty_cycles);
     let mut pipeline = Pipeline::new(pipeline_config)?;
     let truth =
-        Truth { turns, period_s: spec.cycle.period_s, flow_lpm: &|area| pipeline_config.flow_lpm(area) };
+        Truth { runs, period_s: spec.cycle.period_s, flow_lpm: &|area| pipeline_config.flow_lpm(area) };
     let mut page = DemoPage {
         log: log.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         reference_dp_pa: config.reference_dp_pa,
@@ -108,7 +108,7 @@ fn replay(log: &Path, spec: &MachineSpec, turns: &[Turn]) -> Result<DemoPage, Fa
         points: Vec::new(),
         changes: Vec::new(),
         median_error: 0.0,
-        duration_s: turns.len() as f64 * spec.cycle.period_s,
+        duration_s: runs.len() as f64 * spec.cycle.period_s,
     };
     let mut source = source::open(log, &config)?;
     let mut number = 0;
@@ -117,7 +117,7 @@ fn replay(log: &Path, spec: &MachineSpec, turns: &[Turn]) -> Result<DemoPage, Fa
         let in_cycle = |cycle: usize| t_s - cycle as f64 * spec.cycle.period_s;
         let shown = number % SHOWN_EVERY == 0;
         if let Some(command) = sample.get(Signal::Command).filter(|_| shown) {
-            for (cycle, curve) in [(SHOWN_CYCLE, &mut page.healthy), (turns.len() - 1, &mut page.worn)] {
+            for (cycle, curve) in [(SHOWN_CYCLE, &mut page.healthy), (runs.len() - 1, &mut page.worn)] {
                 let at = in_cycle(cycle);
                 if (0.0..spec.cycle.period_s).contains(&at) {
                     curve.push((at, command));
@@ -134,21 +134,21 @@ fn replay(log: &Path, spec: &MachineSpec, turns: &[Turn]) -> Result<DemoPage, Fa
 
 /// What the simulator knows and the monitor does not.
 struct Truth<'a> {
-    turns: &'a [Turn],
+    runs: &'a [CycleRun],
     period_s: f64,
     flow_lpm: &'a dyn Fn(f64) -> f64,
 }
 
 impl Truth<'_> {
     fn lpm_at(&self, t_s: f64) -> f64 {
-        let turn = ((t_s / self.period_s).max(0.0) as usize).min(self.turns.len() - 1);
-        (self.flow_lpm)(self.turns[turn].leak_area_m2)
+        let run = ((t_s / self.period_s).max(0.0) as usize).min(self.runs.len() - 1);
+        (self.flow_lpm)(self.runs[run].leak_area_m2)
     }
 
     /// When the truth first reached a flow.
     fn passed_s(&self, threshold_lpm: f64) -> Option<f64> {
-        let reached = |turn: &Turn| (self.flow_lpm)(turn.leak_area_m2) >= threshold_lpm;
-        self.turns.iter().position(reached).map(|turn| turn as f64 * self.period_s)
+        let reached = |run: &CycleRun| (self.flow_lpm)(run.leak_area_m2) >= threshold_lpm;
+        self.runs.iter().position(reached).map(|run| run as f64 * self.period_s)
     }
 }
 

@@ -5,11 +5,11 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use seepd_sim::cycle::Turn;
+use seepd_sim::cycle::CycleRun;
 use seepd_sim::electric::ElectricAxis;
 use seepd_sim::noise::Noise;
 use seepd_sim::oil::NOMINAL_TEMPERATURE_C;
-use seepd_sim::{Input, Machine, MachineSpec, Record, Schedule};
+use seepd_sim::{Input, Machine, MachineSpec, Schedule, SimulatedSignals};
 use serde::Serialize;
 
 use crate::cli::Outcome;
@@ -140,12 +140,12 @@ pub fn run(arguments: &SimulateArguments) -> Result<Outcome, Failure> {
         return Ok(Outcome::Good);
     }
     let spec = machine(arguments)?;
-    let turns = turns(arguments, &spec)?;
+    let runs = runs(arguments, &spec)?;
     let Some(out) = &arguments.out else {
         return Err(Failure::new(Code::Usage, "name the log to write: --out FILE"));
     };
     let out = Outputs::new(arguments.overwrite, arguments.plant.as_deref()).claim(out)?;
-    write_log(&out, arguments, &spec, &turns)?;
+    write_log(&out, arguments, &spec, &runs)?;
     Ok(Outcome::Good)
 }
 
@@ -213,7 +213,7 @@ const LARGEST_LEAK_M2: f64 = 1e-4;
 /// Where growth from nothing begins, m².
 const GROWTH_FROM_M2: f64 = 1e-8;
 
-fn turns(arguments: &SimulateArguments, spec: &MachineSpec) -> Result<Vec<Turn>, Failure> {
+fn runs(arguments: &SimulateArguments, spec: &MachineSpec) -> Result<Vec<CycleRun>, Failure> {
     let start =
         check("--leak-area", arguments.leak_area.unwrap_or(spec.plant.leak_area_m2), 0.0, LARGEST_LEAK_M2)?;
     let load = check("--load-variation", arguments.load_variation, 0.0, 1.0)?;
@@ -225,7 +225,7 @@ fn turns(arguments: &SimulateArguments, spec: &MachineSpec) -> Result<Vec<Turn>,
     let growth =
         arguments.leak_growth.map(|end| check("--leak-growth", end, 0.0, LARGEST_LEAK_M2)).transpose()?;
     let mut noise = Noise::new(arguments.seed, 1);
-    let turn = |cycle: usize, noise: &mut Noise| {
+    let run = |cycle: usize, noise: &mut Noise| {
         let leak_area_m2 = match (step, growth) {
             (Some((area, from)), _) if cycle >= from => area,
             (None, Some(end)) => {
@@ -235,7 +235,7 @@ fn turns(arguments: &SimulateArguments, spec: &MachineSpec) -> Result<Vec<Turn>,
             }
             _ => start,
         };
-        Turn {
+        CycleRun {
             leak_area_m2,
             load_factor: noise.factor(load),
             stretch: noise.factor(period),
@@ -243,9 +243,9 @@ fn turns(arguments: &SimulateArguments, spec: &MachineSpec) -> Result<Vec<Turn>,
         }
     };
     // The warm-up is as planned, with the first cycle's leak.
-    let mut turns = vec![Turn::with_leak(turn(0, &mut noise.clone()).leak_area_m2)];
-    turns.extend((0..arguments.cycles).map(|cycle| turn(cycle, &mut noise)));
-    Ok(turns)
+    let mut runs = vec![CycleRun::with_leak(run(0, &mut noise.clone()).leak_area_m2)];
+    runs.extend((0..arguments.cycles).map(|cycle| run(cycle, &mut noise)));
+    Ok(runs)
 }
 
 fn parse_step(text: &str) -> Result<(f64, usize), Failure> {
@@ -291,7 +291,7 @@ fn rounded(value: f64) -> f64 {
 }
 
 impl SignalsMessage {
-    fn of(record: &Record<f64>, command: f64, command_only: bool) -> Self {
+    fn of(record: &SimulatedSignals<f64>, command: f64, command_only: bool) -> Self {
         let others = (!command_only).then(|| OtherSignals {
             demand: rounded(record.demand),
             position: rounded(record.position),
@@ -313,7 +313,7 @@ pub fn write_log(
     out: &Output,
     arguments: &SimulateArguments,
     spec: &MachineSpec,
-    turns: &[Turn],
+    runs: &[CycleRun],
 ) -> Result<(), Failure> {
     let writing = |error: io::Error| Failure::writing(out.path(), error);
     let mut sink = McapSink::new(out.create()?, arguments.compression).map_err(writing)?;
@@ -327,28 +327,28 @@ pub fn write_log(
     write_provenance(&mut sink, arguments, spec).map_err(writing)?;
 
     let changes = arguments.oil_temperature.is_some() || arguments.supply_drift != 0.0;
-    let at_turn = |turn: usize| {
-        let share = turn.saturating_sub(1) as f64 / turns.len().saturating_sub(2).max(1) as f64;
+    let at_run = |run: usize| {
+        let share = run.saturating_sub(1) as f64 / runs.len().saturating_sub(2).max(1) as f64;
         Machine::<f64>::new(&[&day(spec, arguments, share.min(1.0))])
     };
-    let mut machine = if changes { at_turn(0) } else { Machine::<f64>::new(&[spec]) };
+    let mut machine = if changes { at_run(0) } else { Machine::<f64>::new(&[spec]) };
     let mut state = machine.start();
-    let mut turn = 0;
+    let mut run = 0;
     let period_s = spec.controller.period_s;
-    let schedule = Schedule::new(&spec.cycle, period_s, turns.to_vec());
+    let schedule = Schedule::new(&spec.cycle, period_s, runs.to_vec());
     let warm_up = schedule.ticks_of(0);
     let start_at = check("--start-at", arguments.start_at, 0.0, spec.cycle.period_s)?;
     let skipped = warm_up + (start_at / period_s).round() as u64;
-    let end: u64 = (0..turns.len()).map(|turn| schedule.ticks_of(turn)).sum();
-    let bar = progress_bar(turns.len() as u64 - 1, "simulating");
+    let end: u64 = (0..runs.len()).map(|run| schedule.ticks_of(run)).sum();
+    let bar = progress_bar(runs.len() as u64 - 1, "simulating");
     let mut noise = Noise::new(arguments.seed, 2);
     let mut line = Vec::with_capacity(256);
-    for (tick, instant) in (0..end).zip(schedule) {
-        if changes && instant.turn != turn {
-            turn = instant.turn;
-            machine = at_turn(turn);
+    for (tick, sample) in (0..end).zip(schedule) {
+        if changes && sample.run != run {
+            run = sample.run;
+            machine = at_run(run);
         }
-        let record = machine.tick(&mut state, &Input::gather(&[instant]));
+        let record = machine.tick(&mut state, &Input::gather(&[sample]));
         let noisy = record.command + noise.normal(arguments.noise);
         if tick < skipped {
             continue;
@@ -365,7 +365,7 @@ pub fn write_log(
             let message = TruthMessage { leak_area: record.leak_area, leak_flow: record.leak_flow };
             write_message(&mut sink, truth, time_ns, &mut line, &message).map_err(writing)?;
         }
-        bar.set_position(instant.turn.saturating_sub(1) as u64);
+        bar.set_position(sample.run.saturating_sub(1) as u64);
     }
     bar.finish_and_clear();
     sink.finish().map_err(writing)?;

@@ -63,7 +63,7 @@ impl GapPage<'_> {
                 ul { @for line in &found.distinguish { li { (line) } } }
             }
             @if !found.notes.is_empty() {
-                h2 { "About the log" }
+                h2 { "EffectInfo the log" }
                 ul { @for line in &found.notes { li { (line) } } }
             }
         };

@@ -1,6 +1,6 @@
 //! Accumulator: a gas accumulator at the supply that the plan leaves out.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Softening, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Softening, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -36,8 +36,8 @@ impl<T: Real> Law<T> for GasSpring<T> {
 }
 
 impl Effect for Accumulator {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "accumulator",
             parameters: &[
                 Parameter {

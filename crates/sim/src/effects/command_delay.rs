@@ -1,6 +1,6 @@
 //! Command delay: dead time between controller and spool, of a bus cycle or a remote input/output station.
 
-use super::{About, Effect, Equation, Law, Parameter, Substep, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Parameter, Substep, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -47,8 +47,8 @@ impl<T: Real> Law<T> for Delay<T> {
 }
 
 impl Effect for CommandDelay {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "command_delay",
             parameters: &[Parameter {
                 name: "delay_s",

@@ -1,6 +1,6 @@
 //! Command quantisation: a digital-to-analogue converter or a fieldbus word of few bits between controller and spool.
 
-use super::{About, Effect, Equation, Law, Parameter, Substep, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Parameter, Substep, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -29,8 +29,8 @@ impl<T: Real> Law<T> for Steps<T> {
 }
 
 impl Effect for CommandQuantisation {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "command_quantisation",
             parameters: &[Parameter {
                 name: "step",

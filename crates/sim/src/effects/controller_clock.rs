@@ -1,6 +1,6 @@
 //! Controller clock: a controller whose ticks are not as long as its gains and time stamps assume.
 
-use super::{About, Constants, Effect, Equation, Law, Parameter, built_by};
+use super::{Constants, Effect, EffectInfo, Equation, Law, Parameter, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -31,8 +31,8 @@ impl<T: Real> Law<T> for Clock<T> {
 }
 
 impl Effect for ControllerClock {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "controller_clock",
             parameters: &[Parameter {
                 name: "period_s",

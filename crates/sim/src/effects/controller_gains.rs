@@ -1,6 +1,6 @@
 //! Controller gains: gains that were changed on the machine and not in the plan.
 
-use super::{About, Constants, Effect, Equation, Law, Parameter, built_by};
+use super::{Constants, Effect, EffectInfo, Equation, Law, Parameter, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -33,8 +33,8 @@ impl<T: Real> Law<T> for Gains<T> {
 }
 
 impl Effect for ControllerGains {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "controller_gains",
             parameters: &[
                 Parameter {

@@ -1,6 +1,6 @@
 //! Coulomb friction of seals and guides: a force against the motion that does not depend on its speed.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by, direction};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Terms, built_by, direction};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -25,8 +25,8 @@ impl<T: Real> Law<T> for Coulomb<T> {
 }
 
 impl Effect for CoulombFriction {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "coulomb_friction",
             parameters: &[Parameter {
                 name: "force_n",

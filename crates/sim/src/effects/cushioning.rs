@@ -1,6 +1,6 @@
 //! Cushioning: end cushions that throttle the outlet over the last millimetres.
 
-use super::{About, Effect, Equation, Law, Moment, Openings, Parameter, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Openings, Parameter, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -35,8 +35,8 @@ impl<T: Real> Law<T> for Cushion<T> {
 }
 
 impl Effect for Cushioning {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "cushioning",
             parameters: &[
                 Parameter {

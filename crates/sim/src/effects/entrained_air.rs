@@ -1,6 +1,6 @@
 //! Entrained air: free air in the oil, which makes it soft at low pressure.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Softening, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Softening, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -38,8 +38,8 @@ impl<T: Real> Law<T> for Air<T> {
 }
 
 impl Effect for EntrainedAir {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "entrained_air",
             parameters: &[Parameter {
                 name: "fraction",

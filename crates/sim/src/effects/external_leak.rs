@@ -1,6 +1,6 @@
 //! External leak: a weeping rod seal or fitting, chamber to ambient, laminar.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Terms, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -31,8 +31,8 @@ const RANGE: (f64, f64) = (0.0, 1e-11);
 const SOURCE: &str = "1e-11 m³/(s Pa) passes 6 L/min at 10 MPa, above which a machine is stopped on sight";
 
 impl Effect for ExternalLeak {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "external_leak",
             parameters: &[
                 Parameter {

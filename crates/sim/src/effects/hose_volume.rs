@@ -1,6 +1,6 @@
 //! Hose volume: hoses and pipes between valve and cylinder that the plan leaves out.
 
-use super::{About, Constants, Effect, Equation, Law, Parameter, built_by};
+use super::{Constants, Effect, EffectInfo, Equation, Law, Parameter, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -30,8 +30,8 @@ impl<T: Real> Law<T> for Hoses<T> {
 }
 
 impl Effect for HoseVolume {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "hose_volume",
             parameters: &[
                 Parameter {

@@ -1,6 +1,6 @@
 //! Load bias: weight, counterbalance or preload that the load signal does not show.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Terms, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -24,8 +24,8 @@ impl<T: Real> Law<T> for Offset<T> {
 }
 
 impl Effect for LoadBias {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "load_bias",
             parameters: &[Parameter {
                 name: "force_n",

@@ -98,15 +98,15 @@ pub fn reference() -> String {
          `--with KEY.PARAMETER=VALUE`. An effect at its neutral value changes no bit. Written by `seepd simulate --list-effects`.\n",
     );
     for effect in ALL {
-        let about = effect.about();
+        let info = effect.info();
         text += &format!(
             "\n## {}\n\nLaw: {}.\n\nSeen: {}. First disturbs: {}.\n\n| parameter | unit | neutral | range | source |\n|---|---|---|---|---|\n",
-            about.key,
-            about.law,
-            about.signature,
-            about.equation.name()
+            info.key,
+            info.law,
+            info.signature,
+            info.equation.name()
         );
-        for parameter in about.parameters {
+        for parameter in info.parameters {
             let (low, high) = parameter.range;
             text += &format!(
                 "| `{}` | {} | {} | {} … {} | {} |\n",
@@ -182,7 +182,7 @@ pub struct Parameter {
 
 /// What an effect is.
 #[derive(Debug)]
-pub struct About {
+pub struct EffectInfo {
     /// Key in files, on the command line and in reports.
     pub key: &'static str,
     /// Parameters in their order in `values`.
@@ -195,7 +195,7 @@ pub struct About {
     pub equation: Equation,
 }
 
-impl About {
+impl EffectInfo {
     /// Whether a parameter is when an event begins, or how long it lasts.
     pub fn is_time(&self, parameter: usize) -> bool {
         self.parameters
@@ -207,7 +207,7 @@ impl About {
 /// An effect: its description, and the way to its law.
 pub trait Effect: Sync {
     /// The description.
-    fn about(&self) -> &'static About;
+    fn info(&self) -> &'static EffectInfo;
     /// The law of one machine; `values` in the order of [`Effect::parameters`].
     fn scalar(&self, values: &[f64]) -> Box<dyn Law<f64>>;
     /// The law of several machines in lanes.
@@ -219,11 +219,11 @@ pub trait Effect: Sync {
     }
     /// Key in files, on the command line and in reports.
     fn key(&self) -> &'static str {
-        self.about().key
+        self.info().key
     }
     /// Parameters in their order in `values`.
     fn parameters(&self) -> &'static [Parameter] {
-        self.about().parameters
+        self.info().parameters
     }
 }
 

@@ -1,6 +1,6 @@
 //! Oil viscosity: oil that is colder or warmer than planned.
 
-use super::{About, Constants, Effect, Equation, Law, Parameter, built_by};
+use super::{Constants, Effect, EffectInfo, Equation, Law, Parameter, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -34,8 +34,8 @@ impl<T: Real> Law<T> for Viscosity<T> {
 }
 
 impl Effect for OilViscosity {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "oil_viscosity",
             parameters: &[Parameter {
                 name: "factor",

@@ -1,6 +1,6 @@
 //! Position lag: a filter in the position transducer or its card.
 
-use super::{About, Effect, Equation, Law, Parameter, Sensing, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Parameter, Sensing, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -40,8 +40,8 @@ impl<T: Real> Law<T> for Lag<T> {
 }
 
 impl Effect for PositionLag {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "position_lag",
             parameters: &[Parameter {
                 name: "time_constant_s",

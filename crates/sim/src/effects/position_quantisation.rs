@@ -1,6 +1,6 @@
 //! Position quantisation: a position transducer of coarse resolution.
 
-use super::{About, Effect, Equation, Law, Parameter, Sensing, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Parameter, Sensing, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -29,8 +29,8 @@ impl<T: Real> Law<T> for Grid<T> {
 }
 
 impl Effect for PositionQuantisation {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "position_quantisation",
             parameters: &[Parameter {
                 name: "step_m",

@@ -1,6 +1,6 @@
 //! Position scale: a position sensor whose scale is off.
 
-use super::{About, Effect, Equation, Law, Parameter, Sensing, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Parameter, Sensing, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -28,8 +28,8 @@ impl<T: Real> Law<T> for ScaleFactor<T> {
 }
 
 impl Effect for PositionScale {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "position_scale",
             parameters: &[Parameter {
                 name: "factor",

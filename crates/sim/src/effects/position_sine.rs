@@ -1,6 +1,6 @@
 //! Position sine: an encoder or spindle that is off centre: an error that repeats with its pitch.
 
-use super::{About, Effect, Equation, Law, Parameter, Sensing, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Parameter, Sensing, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -31,8 +31,8 @@ impl<T: Real> Law<T> for Sine<T> {
 }
 
 impl Effect for PositionSine {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "position_sine",
             parameters: &[
                 Parameter {

@@ -1,6 +1,6 @@
 //! Pressure friction: seals pressed on by the pressure they hold.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by, direction};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Terms, built_by, direction};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -27,8 +27,8 @@ impl<T: Real> Law<T> for SealForce<T> {
 }
 
 impl Effect for PressureFriction {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "pressure_friction",
             parameters: &[Parameter {
                 name: "coefficient",

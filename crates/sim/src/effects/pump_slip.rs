@@ -1,6 +1,6 @@
 //! Pump slip: internal leakage of a worn pump.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Terms, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -24,8 +24,8 @@ impl<T: Real> Law<T> for Slip<T> {
 }
 
 impl Effect for PumpSlip {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "pump_slip",
             parameters: &[Parameter {
                 name: "leakage_m3_per_s_pa",

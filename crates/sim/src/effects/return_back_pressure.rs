@@ -1,6 +1,6 @@
 //! Return back pressure: filter, cooler or narrow pipe in the return line.
 
-use super::{About, Effect, Equation, Law, Moment, Openings, Parameter, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Openings, Parameter, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -31,8 +31,8 @@ impl<T: Real> Law<T> for BackPressure<T> {
 }
 
 impl Effect for ReturnBackPressure {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "return_back_pressure",
             parameters: &[Parameter {
                 name: "k_pa_s2_per_m6",

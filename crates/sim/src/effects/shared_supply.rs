@@ -1,6 +1,6 @@
 //! Shared supply: another consumer on the same pump in a part of the cycle.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Terms, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -34,8 +34,8 @@ impl<T: Real> Law<T> for Consumer<T> {
 }
 
 impl Effect for SharedSupply {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "shared_supply",
             parameters: &[
                 Parameter {

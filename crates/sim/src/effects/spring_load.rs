@@ -1,6 +1,6 @@
 //! Spring load: springs, gas struts or elastic tooling that push back with the position.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Terms, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -25,8 +25,8 @@ impl<T: Real> Law<T> for Spring<T> {
 }
 
 impl Effect for SpringLoad {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "spring_load",
             parameters: &[
                 Parameter {

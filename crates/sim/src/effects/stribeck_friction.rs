@@ -1,6 +1,6 @@
 //! Stribeck friction: seals and guides that stick more at rest than in motion.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by, direction};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Terms, built_by, direction};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -31,8 +31,8 @@ impl<T: Real> Law<T> for Stribeck<T> {
 }
 
 impl Effect for StribeckFriction {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "stribeck_friction",
             parameters: &[
                 Parameter {

@@ -1,6 +1,6 @@
 //! Structure compliance: a rod, mount or tool that gives: two masses with a spring between them.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Terms, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -59,8 +59,8 @@ impl<T: Real> Law<T> for TwoMasses<T> {
 }
 
 impl Effect for StructureCompliance {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "structure_compliance",
             parameters: &[
                 Parameter {

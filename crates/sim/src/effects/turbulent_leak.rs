@@ -1,6 +1,6 @@
 //! Turbulent leak: a leak whose flow law is not that of an orifice: long gaps are laminar.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Terms, built_by};
 use crate::plant::sq;
 use crate::real::Real;
 
@@ -40,8 +40,8 @@ impl<T: Real> Law<T> for LeakLaw<T> {
 }
 
 impl Effect for TurbulentLeak {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "turbulent_leak",
             parameters: &[Parameter {
                 name: "exponent",

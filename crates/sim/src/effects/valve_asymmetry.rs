@@ -1,6 +1,6 @@
 //! Valve asymmetry: lands of different width: valves for cylinders of unequal areas, or one worn edge.
 
-use super::{About, Effect, Equation, Law, Moment, Openings, Parameter, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Openings, Parameter, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -27,8 +27,8 @@ impl<T: Real> Law<T> for Lands<T> {
 }
 
 impl Effect for ValveAsymmetry {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "valve_asymmetry",
             parameters: &[
                 Parameter {

@@ -1,6 +1,6 @@
 //! Valve bias: a valve's null that is off: spring, amplifier or sensor out of adjustment.
 
-use super::{About, Effect, Equation, Law, Parameter, Substep, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Parameter, Substep, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -28,8 +28,8 @@ impl<T: Real> Law<T> for Bias<T> {
 }
 
 impl Effect for ValveBias {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "valve_bias",
             parameters: &[Parameter {
                 name: "offset",

@@ -1,6 +1,6 @@
 //! Valve dead band: overlapped spool lands, which pass nothing until the spool has travelled the overlap.
 
-use super::{About, Effect, Equation, Law, Parameter, Substep, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Parameter, Substep, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -29,8 +29,8 @@ impl<T: Real> Law<T> for Deadband<T> {
 }
 
 impl Effect for ValveDeadband {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "valve_deadband",
             parameters: &[Parameter {
                 name: "half_width",

@@ -1,6 +1,6 @@
 //! Valve flow shape: metering notches whose opening is not in proportion to the spool.
 
-use super::{About, Effect, Equation, Law, Parameter, Substep, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Parameter, Substep, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -34,8 +34,8 @@ impl<T: Real> Law<T> for Shape<T> {
 }
 
 impl Effect for ValveFlowShape {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "valve_flow_shape",
             parameters: &[Parameter {
                 name: "exponent",

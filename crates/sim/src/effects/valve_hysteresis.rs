@@ -1,6 +1,6 @@
 //! Valve hysteresis: magnetic hysteresis and friction of a proportional valve's solenoid and spool.
 
-use super::{About, Effect, Equation, Law, Parameter, Substep, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Parameter, Substep, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -34,8 +34,8 @@ impl<T: Real> Law<T> for Play<T> {
 }
 
 impl Effect for ValveHysteresis {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "valve_hysteresis",
             parameters: &[Parameter {
                 name: "width",

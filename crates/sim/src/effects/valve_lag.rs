@@ -1,6 +1,6 @@
 //! Valve lag: the spool follows the command like a mass on a spring.
 
-use super::{About, Effect, Equation, Law, Parameter, Substep, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Parameter, Substep, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -39,8 +39,8 @@ impl<T: Real> Law<T> for SecondOrder<T> {
 }
 
 impl Effect for ValveLag {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "valve_lag",
             parameters: &[
                 Parameter {

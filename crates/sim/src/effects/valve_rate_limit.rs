@@ -1,6 +1,6 @@
 //! Valve rate limit: the spool's speed is limited by pilot flow or amplifier current.
 
-use super::{About, Effect, Equation, Law, Parameter, Substep, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Parameter, Substep, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
@@ -35,8 +35,8 @@ impl<T: Real> Law<T> for RateLimit<T> {
 }
 
 impl Effect for ValveRateLimit {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "valve_rate_limit",
             parameters: &[Parameter {
                 name: "rate_per_s",

@@ -1,6 +1,6 @@
 //! Valve wear: eroded metering edges leak over all four lands around the centre.
 
-use super::{About, Effect, Equation, Law, Moment, Parameter, Terms, built_by};
+use super::{Effect, EffectInfo, Equation, Law, Moment, Parameter, Terms, built_by};
 use crate::plant::sq;
 use crate::real::Real;
 
@@ -38,8 +38,8 @@ impl<T: Real> Law<T> for Wear<T> {
 }
 
 impl Effect for ValveWear {
-    fn about(&self) -> &'static About {
-        &About {
+    fn info(&self) -> &'static EffectInfo {
+        &EffectInfo {
             key: "valve_wear",
             parameters: &[
                 Parameter {
