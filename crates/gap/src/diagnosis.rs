@@ -19,7 +19,7 @@ use crate::simulate::views;
 
 /// What a diagnosis is asked for.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
+pub struct DiagnosisSettings {
     /// Effects that are fitted in full, beside the retuned and beside the nominal machine.
     pub fitted: usize,
     /// Iterations of a fit.
@@ -28,9 +28,9 @@ pub struct Settings {
     pub without: Vec<String>,
 }
 
-impl Default for Settings {
+impl Default for DiagnosisSettings {
     fn default() -> Self {
-        Settings { fitted: 5, iterations: 10, without: Vec::new() }
+        DiagnosisSettings { fitted: 5, iterations: 10, without: Vec::new() }
     }
 }
 
@@ -51,7 +51,7 @@ const VISIBLE: f64 = 2.0;
 pub fn diagnose<A: Axis>(
     record: &Record,
     spec: &A,
-    settings: &Settings,
+    settings: &DiagnosisSettings,
     tell: &mut dyn FnMut(usize),
 ) -> (Diagnosis, A) {
     let (fitted, held_out) = split(record);
@@ -87,7 +87,7 @@ pub fn diagnose<A: Axis>(
 pub fn nominal_gap<A: Axis>(record: &Record, spec: &A) -> BTreeMap<&'static str, f64> {
     let (fitted, held_out) = split(record);
     let problem = Problem::new(record, &fitted);
-    let nominal = Fit::of_wear(&problem, spec, Settings::default().iterations);
+    let nominal = Fit::of_wear(&problem, spec, DiagnosisSettings::default().iterations);
     let gaps = HeldOut { record, cycles: &held_out }.gaps(&[nominal.spec]).swap_remove(0);
     record.signals.iter().map(|signal| signal.name()).zip(gaps).collect()
 }
@@ -294,7 +294,7 @@ impl<A: Axis> Telling<'_, A> {
 
     fn diagnosis(
         &self,
-        settings: &Settings,
+        settings: &DiagnosisSettings,
         verdict: Verdict,
         reason: Option<String>,
         fitted: usize,

@@ -20,6 +20,6 @@ pub mod shrink;
 pub mod simulate;
 
 pub use axis::Axis;
-pub use diagnosis::{Settings, cannot_tell, diagnose, nominal_gap};
+pub use diagnosis::{DiagnosisSettings, cannot_tell, diagnose, nominal_gap};
 pub use record::{Log, Record, RecordError};
 pub use report::Diagnosis;

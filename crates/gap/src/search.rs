@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use seepd_sim::effects::EffectInfo;
 
 use crate::axis::Axis;
-use crate::diagnosis::Settings;
+use crate::diagnosis::DiagnosisSettings;
 use crate::fit::{Fit, Problem, of_effect, values_of};
 use crate::rank::score;
 use crate::screen::{Candidate, screen, with};
@@ -60,7 +60,7 @@ pub fn search<A: Axis>(
     untouched: &Fit<A>,
     retuned: Fit<A>,
     far: &[Candidate],
-    settings: &Settings,
+    settings: &DiagnosisSettings,
 ) -> Found<A> {
     let mut found =
         Found { candidates: screen(problem, &retuned, &settings.without), retuned, explanations: Vec::new() };
@@ -81,7 +81,7 @@ pub fn search<A: Axis>(
 }
 
 /// Takes the best fits further, with new derivatives: a fit that has not converged loses to one that has.
-fn polish<A: Axis>(problem: &Problem<'_>, explanations: &mut [Explanation<A>], settings: &Settings) {
+fn polish<A: Axis>(problem: &Problem<'_>, explanations: &mut [Explanation<A>], settings: &DiagnosisSettings) {
     explanations.par_iter_mut().take(TWICE).for_each(|one| {
         one.fit = one.fit.clone().renewed(problem).fitted(problem, settings.iterations).renewed(problem);
     });
@@ -93,7 +93,7 @@ fn something_left<A>(problem: &Problem<'_>, fit: &Fit<A>) -> bool {
 }
 
 /// Retuning from where the best effect's fit has put the plant's parameters, without the effect.
-fn repolished<A: Axis>(problem: &Problem<'_>, found: &Found<A>, settings: &Settings) -> Fit<A> {
+fn repolished<A: Axis>(problem: &Problem<'_>, found: &Found<A>, settings: &DiagnosisSettings) -> Fit<A> {
     let best = found.explanations.iter().min_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
     let Some(best) = best else { return found.retuned.clone() };
     let mut start = best.fit.spec.clone();
@@ -112,7 +112,7 @@ fn single_effects<A: Axis>(
     retuned: &Fit<A>,
     near: &[Candidate],
     far: &[Candidate],
-    settings: &Settings,
+    settings: &DiagnosisSettings,
 ) -> Vec<Explanation<A>> {
     let fit = |(candidate, from_afar): &(&Candidate, bool)| {
         let start = if *from_afar { untouched } else { retuned };
@@ -165,7 +165,11 @@ fn keep_better<'c, A>(
 }
 
 /// Forward selection: the best machines get a further effect as long as something is left and the next one takes much of it.
-fn add_effects<A: Axis>(problem: &Problem<'_>, explanations: &mut Vec<Explanation<A>>, settings: &Settings) {
+fn add_effects<A: Axis>(
+    problem: &Problem<'_>,
+    explanations: &mut Vec<Explanation<A>>,
+    settings: &DiagnosisSettings,
+) {
     let mut bases = most_likely(problem, explanations, BEAM);
     for _ in 1..MOST_EFFECTS {
         let mut grown: Vec<Explanation<A>> = Vec::new();

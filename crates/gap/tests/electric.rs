@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use seepd_gap::report::{Diagnosis, Verdict};
-use seepd_gap::{Log, Record, RecordError, Settings, diagnose};
+use seepd_gap::{DiagnosisSettings, Log, Record, RecordError, diagnose};
 use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
 use seepd_sim::electric::ElectricAxis;
@@ -36,7 +36,7 @@ fn log_of(axis: &ElectricAxis, cycles: usize) -> Log {
 
 fn diagnosed(machine: &ElectricAxis, cycles: usize) -> (Diagnosis, ElectricAxis) {
     let record = Record::new(&log_of(machine, cycles), &plan()).unwrap();
-    diagnose(&record, &plan(), &Settings::default(), &mut |_| ())
+    diagnose(&record, &plan(), &DiagnosisSettings::default(), &mut |_| ())
 }
 
 /// The plan's axis with effects given as `effect.parameter=value`.

@@ -10,7 +10,7 @@ use seepd_features::segment::{MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS};
 
 use crate::relative::Inputs;
 use crate::schema::{
-    Calibration, Cycle, Filter, ModelFile, NoveltyFile, RelativeFile, SCHEMA, Transform, Tree,
+    Calibration, Cycle, Filter, ModelFile, RelativeFile, SCHEMA, TrainingDistribution, Transform, Tree,
 };
 
 /// Largest file that is read, bytes: sixteen times the size that training aims at, and small on any gateway.
@@ -109,7 +109,7 @@ pub(crate) fn check(file: &ModelFile) -> Result<(), ModelError> {
         check_tree(tree, file.features.len(), &format!("trees[{index}]"))?;
     }
     check_calibration(&file.calibration, "calibration")?;
-    check_novelty(&file.novelty, file.cycle.phases.len(), "novelty")?;
+    check_distributions(&file.training_distributions, file.cycle.phases.len(), "novelty")?;
     file.relative.as_ref().map_or(Ok(()), |relative| check_relative(relative, file.cycle.phases.len()))
 }
 
@@ -310,7 +310,7 @@ pub(crate) fn check_relative(file: &RelativeFile, phases: usize) -> Result<(), M
     within("relative.offset_m2", file.offset_m2, 1e-15, 1.0)?;
     for (name, view, knows_load) in [("command", &file.command, false), ("load", &file.load, true)] {
         let path = |key: &str| format!("relative.{name}.{key}");
-        has_length(&path("response"), &view.response, Inputs::terms(phases, knows_load))?;
+        has_length(&path("response"), &view.leak_residual, Inputs::terms(phases, knows_load))?;
         for (kind, file) in [("plain", &view.plain), ("deadband", &view.deadband)] {
             check_calibration(&file.calibration, &path(&format!("{kind}.calibration")))?;
             within(&path(&format!("{kind}.reference_m2")), file.reference_m2, 0.0, 1.0)?;
@@ -322,10 +322,10 @@ pub(crate) fn check_relative(file: &RelativeFile, phases: usize) -> Result<(), M
     for (index, tree) in file.trees.iter().enumerate() {
         check_tree(tree, Inputs::tree_inputs(phases), &format!("relative.trees[{index}]"))?;
     }
-    if file.novelty.is_empty() {
+    if file.training_distributions.is_empty() {
         return refuse("relative.novelty", "is empty");
     }
-    check_novelty(&file.novelty, phases, "relative.novelty")?;
+    check_distributions(&file.training_distributions, phases, "relative.novelty")?;
     within("relative.largest_load_change", file.largest_load_change, 1e-6, 1e6)?;
     within("relative.detection.threshold", file.detection.threshold, 1.0, 1e3)?;
     within(
@@ -340,7 +340,7 @@ pub(crate) fn check_relative(file: &RelativeFile, phases: usize) -> Result<(), M
     Ok(())
 }
 
-fn check_novelty(ranges: &[NoveltyFile], phases: usize, path: &str) -> Result<(), ModelError> {
+fn check_distributions(ranges: &[TrainingDistribution], phases: usize, path: &str) -> Result<(), ModelError> {
     let mut before = f64::NEG_INFINITY;
     for (index, range) in ranges.iter().enumerate() {
         let path = |key: &str| format!("{path}[{index}].{key}");

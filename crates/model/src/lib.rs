@@ -12,7 +12,7 @@ pub mod attribution;
 pub mod check;
 pub mod ensemble;
 pub mod model;
-pub mod novelty;
+pub mod out_of_distribution;
 pub mod relative;
 pub mod schema;
 
@@ -20,6 +20,6 @@ pub use attribution::Attribution;
 pub use check::ModelError;
 pub use ensemble::{Ensemble, Estimate};
 pub use model::Model;
-pub use novelty::Novelty;
+pub use out_of_distribution::OutOfDistribution;
 pub use relative::{Comparison, Relative, RelativeEstimate};
 pub use schema::ModelFile;

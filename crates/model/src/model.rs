@@ -9,7 +9,7 @@ use seepd_features::{CycleReader, Feature, Kalman, Phase, PistonAreas, Projectio
 use crate::attribution::Attribution;
 use crate::check::{self, ModelError};
 use crate::ensemble::{Ensemble, Estimate};
-use crate::novelty::Novelty;
+use crate::out_of_distribution::OutOfDistribution;
 use crate::relative::Relative;
 use crate::schema::{Filter, Golden, ModelFile, ProjectionFile};
 
@@ -111,10 +111,11 @@ impl Model {
         Attribution::new(&self.ensemble)
     }
 
-    /// How far a cycle with these mean commands by phase lies from training, as its estimate has it.
-    pub fn novelty(&self, estimate: &Estimate, phase_means: &[f64]) -> Novelty {
+    /// How far a cycle with these mean commands by phase, share of full command, lies from the training data of machines with such
+    /// an estimate.
+    pub fn out_of_distribution(&self, estimate: &Estimate, phase_means: &[f64]) -> OutOfDistribution {
         let known = phase_means.get(..self.phases.len()).unwrap_or(phase_means);
-        Novelty::of(&self.file.novelty, estimate.transformed, known)
+        OutOfDistribution::of(&self.file.training_distributions, estimate.transformed, known)
     }
 
     /// Estimates relative to a baseline, if the model has them.

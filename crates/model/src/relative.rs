@@ -10,20 +10,20 @@ use seepd_features::segment::MAX_PHASES;
 use crate::check::ModelError;
 use crate::ensemble::{Ensemble, Estimate};
 use crate::model::agree;
-use crate::novelty::Novelty;
+use crate::out_of_distribution::OutOfDistribution;
 use crate::schema::{DeadbandFile, KindFile, RelativeFile, RelativeGolden, Transform, ViewFile};
 
-/// Most changes that a response depends on: the phases and the load.
+/// Most changes that a leak residual depends on: the phases and the load.
 pub const MAX_CHANGES: usize = MAX_PHASES + 1;
-/// Most inputs of the trees: baseline and changes by phase, and the response.
+/// Most inputs of the trees: baseline and changes by phase, and the leak residual.
 const MAX_INPUTS: usize = 2 * MAX_PHASES + 1;
-/// What each cycle takes from the sums over cycles, in standard deviations of the response; the stated rate of false alarms
+/// What each cycle takes from the sums over cycles, in standard deviations of the leak residual; the stated rate of false alarms
 /// depends on it.
 pub const DRIFT_ALLOWANCE: f64 = 0.5;
 /// A baseline further from training's than this many standard deviations counts as that far: products would run away.
 const FARTHEST_BASELINE: f64 = 4.0;
-/// A response as negative as this share of the offset counts as that: it has a logarithm.
-const LEAST_RESPONSE: f64 = 0.75;
+/// A leak residual as negative as this share of the offset counts as that: it has a logarithm.
+const LEAST_RESIDUAL: f64 = 0.75;
 
 /// A cycle to be compared with its baseline.
 #[derive(Debug, Clone, Copy)]
@@ -43,12 +43,12 @@ pub struct Comparison<'a> {
 pub struct RelativeEstimate {
     /// Leak area, m², and its interval.
     pub estimate: Estimate,
-    /// Response, m²: around 0 for a healthy machine, and negative as often as not.
-    pub response_m2: f64,
-    /// What each change contributes to the response, m²: phases in their order, then the load.
+    /// Leak residual, m², the change against the baseline as a leak area: around 0 for a healthy machine, and negative as often as not.
+    pub leak_residual_m2: f64,
+    /// What each change contributes to the leak residual, m²: phases in their order, then the load.
     pub contributions_m2: [f64; MAX_CHANGES],
     /// Distance of the changes, phases in their order and then the load, from what training has seen.
-    pub novelty: Novelty,
+    pub out_of_distribution: OutOfDistribution,
 }
 
 /// The relative estimate of a model, checked.
@@ -98,7 +98,7 @@ impl Relative {
             (golden.estimate, given.estimate.value),
             (golden.interval[0], given.estimate.interval[0]),
             (golden.interval[1], given.estimate.interval[1]),
-            (golden.response, given.response_m2),
+            (golden.leak_residual, given.leak_residual_m2),
         ])
     }
 
@@ -112,11 +112,6 @@ impl Relative {
         self.file.baseline_mean.len()
     }
 
-    /// Number of trees.
-    pub fn trees(&self) -> usize {
-        self.ensemble.trees()
-    }
-
     /// The view of what is known.
     pub fn view(&self, knows_load: bool) -> &ViewFile {
         if knows_load { &self.file.load } else { &self.file.command }
@@ -127,9 +122,9 @@ impl Relative {
         let view = self.view(comparison.load_change.is_some());
         let inputs = Inputs::of(&self.file, comparison);
         let mut contributions_m2 = [0.0; MAX_CHANGES];
-        let response_m2 = inputs.response(&view.response, &mut contributions_m2);
+        let leak_residual_m2 = inputs.leak_residual(&view.leak_residual, &mut contributions_m2);
         let offset = self.file.offset_m2;
-        let logarithm = log_response(response_m2, offset);
+        let logarithm = log_leak_residual(leak_residual_m2, offset);
         let (correction, spread) = self.ensemble.vote(&inputs.of_trees(logarithm));
         let estimate = Estimate::around(
             logarithm + correction,
@@ -138,8 +133,8 @@ impl Relative {
             Transform::LnOffset(offset),
             &self.kind(comparison.load_change.is_some(), comparison.baseline).calibration,
         );
-        let novelty = self.novelty(estimate.transformed, &inputs);
-        RelativeEstimate { estimate, response_m2, contributions_m2, novelty }
+        let out_of_distribution = self.out_of_distribution(estimate.transformed, &inputs);
+        RelativeEstimate { estimate, leak_residual_m2, contributions_m2, out_of_distribution }
     }
 
     /// How far the baseline lies from training's, in standard deviations: the farthest phase.
@@ -162,14 +157,15 @@ impl Relative {
         if self.deadband(baseline).is_some() { &view.deadband } else { &view.plain }
     }
 
-    fn novelty(&self, y: f64, inputs: &Inputs) -> Novelty {
-        let Novelty { ratio, newest } = Novelty::of(&self.file.novelty, y, inputs.phase_changes());
+    fn out_of_distribution(&self, y: f64, inputs: &Inputs) -> OutOfDistribution {
+        let OutOfDistribution { score, most_unusual } =
+            OutOfDistribution::of(&self.file.training_distributions, y, inputs.phase_changes());
         let load_change =
             inputs.load_change().map_or(0.0, |change| libm::fabs(change) / self.file.largest_load_change);
-        if load_change > ratio {
-            Novelty { ratio: load_change, newest: inputs.phases }
+        if load_change > score {
+            OutOfDistribution { score: load_change, most_unusual: inputs.phases }
         } else {
-            Novelty { ratio, newest }
+            OutOfDistribution { score, most_unusual }
         }
     }
 }
@@ -202,7 +198,7 @@ pub fn half_width(file: &DeadbandFile, standardised: &[f64]) -> f64 {
     file.intercept + file.slopes.iter().zip(standardised).map(|(slope, value)| slope * value).sum::<f64>()
 }
 
-/// What response and trees depend on.
+/// What leak residual and trees depend on.
 #[derive(Debug, Clone, Copy)]
 pub struct Inputs {
     /// Phases in their order, then the load where it is known.
@@ -249,7 +245,7 @@ impl Inputs {
         self.changes.get(self.phases..self.count).and_then(|load| load.first()).copied()
     }
 
-    /// Calls `take` with each term of the response, in the order of its coefficients, and the changes that it is a product of.
+    /// Calls `take` with each term of the leak residual, in the order of its coefficients, and the changes that it is a product of.
     #[inline]
     pub fn each_term(&self, mut take: impl FnMut(f64, [usize; 2])) {
         let changes = self.changes.get(..self.count).unwrap_or_default();
@@ -270,14 +266,14 @@ impl Inputs {
         }
     }
 
-    /// Terms of a response over so many phases, with the load or without.
+    /// Terms of a leak residual over so many phases, with the load or without.
     pub fn terms(phases: usize, knows_load: bool) -> usize {
         let n = phases + usize::from(knows_load);
         n + n * (n + 1) / 2 + 3 * n * phases
     }
 
-    /// The response, and each change's share of it: of a product of two, half each.
-    pub fn response(&self, coefficients: &[f64], contributions: &mut [f64; MAX_CHANGES]) -> f64 {
+    /// The leak residual, m², and each change's share of it: of a product of two, half each.
+    pub fn leak_residual(&self, coefficients: &[f64], contributions: &mut [f64; MAX_CHANGES]) -> f64 {
         let mut coefficients = coefficients.iter();
         let mut sum = 0.0;
         self.each_term(|term, [i, j]| {
@@ -289,7 +285,7 @@ impl Inputs {
         sum
     }
 
-    /// Inputs of the trees: baseline and changes by phase, logarithm of the response.
+    /// Inputs of the trees: baseline and changes by phase, logarithm of the leak residual.
     pub fn of_trees(&self, logarithm: f64) -> [f64; MAX_INPUTS] {
         let mut inputs = [0.0; MAX_INPUTS];
         let n = self.phases;
@@ -307,6 +303,6 @@ impl Inputs {
 }
 
 /// The logarithm that the trees correct.
-pub fn log_response(response_m2: f64, offset_m2: f64) -> f64 {
-    libm::log(response_m2.max(-LEAST_RESPONSE * offset_m2) + offset_m2)
+pub fn log_leak_residual(leak_residual_m2: f64, offset_m2: f64) -> f64 {
+    libm::log(leak_residual_m2.max(-LEAST_RESIDUAL * offset_m2) + offset_m2)
 }

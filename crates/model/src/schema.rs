@@ -39,9 +39,10 @@ pub struct ModelFile {
     pub trees: Vec<Tree>,
     /// Interval around the estimate.
     pub calibration: Calibration,
-    /// What the phases' mean commands look like, by range of the estimate, ascending; empty: not known, and nothing is taken for new.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub novelty: Vec<NoveltyFile>,
+    /// What the phases' mean commands look like, by range of the estimate, ascending; empty: not known, and
+    /// no cycle counts as out of distribution.
+    #[serde(rename = "novelty", default, skip_serializing_if = "Vec::is_empty")]
+    pub training_distributions: Vec<TrainingDistribution>,
     /// How an area becomes a flow.
     pub orifice: Orifice,
     /// SHA-256 of the plant file on which the model was trained, hexadecimal; empty if there was none.
@@ -248,8 +249,8 @@ pub struct Calibration {
 /// How a leak is estimated relative to the healthy machine's own baseline: from the change of each phase's mean command.
 ///
 /// With the changes δ, the baseline's means less their own mean, standardised, as b, and where known the load's relative change as one more δ, the
-/// *response* is the polynomial `Σ c δ_i + Σ c δ_i δ_j (i ≤ j) + Σ (c δ_i b_j + c' δ_i² b_j + c" δ_i b_j²)`, in m² of leak area, coefficients in
-/// this order. It may be negative. The trees, over b, δ (without the load) and `ln(response + offset)`, correct the latter.
+/// *leak residual* is the polynomial `Σ c δ_i + Σ c δ_i δ_j (i ≤ j) + Σ (c δ_i b_j + c' δ_i² b_j + c" δ_i b_j²)`, in m² of leak area, coefficients in
+/// this order. It may be negative. The trees, over b, δ (without the load) and `ln(residual + offset)`, correct the latter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RelativeFile {
@@ -268,7 +269,8 @@ pub struct RelativeFile {
     /// The trees.
     pub trees: Vec<Tree>,
     /// What changes look like, by range of the estimate, ascending.
-    pub novelty: Vec<NoveltyFile>,
+    #[serde(rename = "novelty")]
+    pub training_distributions: Vec<TrainingDistribution>,
     /// Largest relative change of the load that is like training.
     pub largest_load_change: f64,
     /// Where the change counts as a leak, by a cumulative sum over cycles.
@@ -280,7 +282,7 @@ pub struct RelativeFile {
 }
 
 /// How a baseline shows the dead band of the machine's valve beyond that of the plant file: half width, share of full command, linear in the
-/// baseline's means less their own mean, standardised. Estimates for a machine with a dead band are less certain, and load, oil and supply move its response
+/// baseline's means less their own mean, standardised. Estimates for a machine with a dead band are less certain, and load, oil and supply move its leak residual
 /// more: each view has a [`KindFile`] for machines without and one for machines with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -297,8 +299,9 @@ pub struct DeadbandFile {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ViewFile {
-    /// Coefficients of the response, m².
-    pub response: Vec<f64>,
+    /// Coefficients of the leak residual, m².
+    #[serde(rename = "response")]
+    pub leak_residual: Vec<f64>,
     /// For machines whose baseline shows no dead band.
     pub plain: KindFile,
     /// For those whose baseline shows one.
@@ -311,30 +314,31 @@ pub struct ViewFile {
 pub struct KindFile {
     /// Interval around the estimate.
     pub calibration: Calibration,
-    /// Largest response that load, oil and supply give a healthy machine for long, m².
+    /// Largest leak residual that load, oil and supply give a healthy machine for long, m².
     pub reference_m2: f64,
 }
 
-/// What the phases' values look like where the transformed estimate y is at least `from_y`: their mean commands, or the changes of these
-/// since the baseline.
+/// The training data where the transformed estimate y is at least `from_y`: the phases' mean commands, or the changes of these since the
+/// baseline, as a normal distribution.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct NoveltyFile {
+pub struct TrainingDistribution {
     /// Least transformed estimate.
     pub from_y: f64,
     /// Mean by phase.
     pub mean: Vec<f64>,
     /// Inverse of the covariance's Cholesky factor, rows one after the other, each up to its diagonal.
     pub whitening: Vec<f64>,
-    /// Largest distance (root mean square of the whitened difference from the mean) that is still like training.
+    /// Largest distance (root mean square of the whitened difference from the mean) that counts as in distribution.
     pub limit: f64,
 }
 
-/// The cumulative sum: `S = max(0, S + (response − reference)/σ − 0.5)`, σ the baseline's own standard deviation of the response.
+/// The CUSUM (Page, "Continuous inspection schemes", Biometrika 41 (1954)) of a machine's leak residuals: `S = max(0, S + (residual − reference)/σ − 0.5)`, σ the baseline's own standard deviation of the leak
+/// residual.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DetectionFile {
-    /// Value of the sum at which a change is told.
+    /// Value of the sum at which a change is reported, 1.
     pub threshold: f64,
     /// Cycles between two false alarms, on average, of a healthy machine at the worst of its conditions.
     pub cycles_between_false_alarms: f64,
@@ -357,8 +361,9 @@ pub struct RelativeGolden {
     pub estimate: f64,
     /// Interval's ends, m².
     pub interval: [f64; 2],
-    /// Response, m².
-    pub response: f64,
+    /// Leak residual, m².
+    #[serde(rename = "response")]
+    pub leak_residual: f64,
 }
 
 /// How an area becomes a flow: `C_d A √(2 Δp / ρ)`.

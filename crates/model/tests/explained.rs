@@ -1,8 +1,8 @@
-//! Contributions and novelty in closed form.
+//! Contributions and out-of-distribution scores in closed form.
 
-use seepd_model::novelty::distance;
-use seepd_model::schema::{Calibration, NoveltyFile, Transform, Tree};
-use seepd_model::{Attribution, Ensemble, Novelty};
+use seepd_model::out_of_distribution::distance;
+use seepd_model::schema::{Calibration, TrainingDistribution, Transform, Tree};
+use seepd_model::{Attribution, Ensemble, OutOfDistribution};
 
 fn ensemble(trees: &[Tree]) -> Ensemble {
     let calibration = Calibration {
@@ -38,18 +38,22 @@ fn contributions_are_the_steps_of_the_expectation() {
 }
 
 #[test]
-fn novelty_is_the_whitened_distance_over_the_limit_of_the_estimates_range() {
+fn out_of_distribution_score_is_the_whitened_distance_over_the_limit_of_the_estimates_range() {
     // Covariance [[4, 2], [2, 2]] = L Lᵀ with L = [[2, 0], [1, 1]]; its inverse is [[½, 0], [−½, 1]].
-    let range =
-        |from_y, limit| NoveltyFile { from_y, mean: vec![1.0, 1.0], whitening: vec![0.5, -0.5, 1.0], limit };
+    let range = |from_y, limit| TrainingDistribution {
+        from_y,
+        mean: vec![1.0, 1.0],
+        whitening: vec![0.5, -0.5, 1.0],
+        limit,
+    };
     let ranges = [range(-10.0, 2.0), range(0.0, 4.0)];
     // The difference (2, 3) whitens to (1, 2): √(5/2).
     let expected = 2.5f64.sqrt();
     assert!((distance(&ranges[0], &[3.0, 4.0]) - expected).abs() < 1e-15);
     for (y, limit) in [(-20.0, 2.0), (-0.1, 2.0), (0.0, 4.0), (7.0, 4.0)] {
-        let novelty = Novelty::of(&ranges, y, &[3.0, 4.0]);
-        assert!((novelty.ratio - expected / limit).abs() < 1e-15 && novelty.newest == 1, "{novelty:?}");
+        let found = OutOfDistribution::of(&ranges, y, &[3.0, 4.0]);
+        assert!((found.score - expected / limit).abs() < 1e-15 && found.most_unusual == 1, "{found:?}");
     }
-    assert_eq!(Novelty::of(&[], 0.0, &[3.0, 4.0]).ratio, 0.0);
-    assert_eq!(Novelty::of(&ranges, 0.0, &[]).ratio, 0.0);
+    assert_eq!(OutOfDistribution::of(&[], 0.0, &[3.0, 4.0]).score, 0.0);
+    assert_eq!(OutOfDistribution::of(&ranges, 0.0, &[]).score, 0.0);
 }

@@ -6,7 +6,7 @@ use seepd_sim::MachineSpec;
 use seepd_sim::noise::Noise;
 use seepd_train::Spread;
 use seepd_train::dataset;
-use seepd_train::forest::{Forest, Growth, Table, predict};
+use seepd_train::forest::{Forest, ForestParams, Table, predict};
 use serde::Serialize;
 
 use crate::features::{Cycle, Lens, presses};
@@ -70,7 +70,7 @@ pub(crate) fn teach(lens: &Lens<'_>, spec: &MachineSpec, seed: u64) -> Result<[T
         })
         .collect();
     let machines = presses(spec, &areas, LEARN_STREAM);
-    let growth = Growth { learners: LEARNERS, least_leaf: LEAST_LEAF, feature_share: 1.0 };
+    let params = ForestParams { learners: LEARNERS, least_leaf: LEAST_LEAF, feature_share: 1.0 };
     let learn = |filter| -> Result<Taught, StudyError> {
         let cycles = lens.read(&machines, filter, &NOISE_LEVELS[..1], seed)?;
         let rows: Vec<[f64; 5]> = cycles.iter().map(|cycle| lens.five(&cycle.by_noise[0])).collect();
@@ -78,7 +78,7 @@ pub(crate) fn teach(lens: &Lens<'_>, spec: &MachineSpec, seed: u64) -> Result<[T
             columns: (0..5).map(|k| rows.iter().map(|row| row[k]).collect()).collect(),
             target: cycles.iter().map(|cycle| cycle.leak_area_m2 * MM2_PER_M2).collect(),
         };
-        Ok(Taught { trees: Forest::grow(&table, growth, seed).trees })
+        Ok(Taught { trees: Forest::grow(&table, params, seed).trees })
     };
     Ok([learn(lens.filter)?, learn(None)?])
 }

@@ -34,9 +34,9 @@ impl Table {
     }
 }
 
-/// What the search may choose.
+/// Hyperparameters of a forest, which the search may choose.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Growth {
+pub struct ForestParams {
     /// Trees.
     pub learners: usize,
     /// Least observations in a leaf.
@@ -56,14 +56,14 @@ pub struct Forest {
 
 impl Forest {
     /// Grows a forest; the same seed gives the same trees.
-    pub fn grow(table: &Table, growth: Growth, seed: u64) -> Forest {
+    pub fn grow(table: &Table, params: ForestParams, seed: u64) -> Forest {
         let order = Presorted::of(table);
-        let grown: Vec<(Tree, Vec<f64>)> = (0..growth.learners)
+        let grown: Vec<(Tree, Vec<f64>)> = (0..params.learners)
             .into_par_iter()
             .map(|index| {
                 let mut noise = Noise::new(seed, index as u64);
                 let weights = bootstrap(table.len(), &mut noise);
-                let tree = Grower { table, growth, noise }.grow(&order, &weights);
+                let tree = Grower { table, params, noise }.grow(&order, &weights);
                 let unseen = (0..table.len())
                     .map(|i| if weights[i] == 0 { predict(&tree, |f| table.columns[f][i]) } else { f64::NAN })
                     .collect();
@@ -105,9 +105,9 @@ impl Forest {
 }
 
 /// One tree on all observations, each once.
-pub fn grow_single(table: &Table, growth: Growth, seed: u64) -> Tree {
+pub fn grow_single(table: &Table, params: ForestParams, seed: u64) -> Tree {
     let noise = Noise::new(seed, 0);
-    Grower { table, growth, noise }.grow(&Presorted::of(table), &vec![1; table.len()])
+    Grower { table, params, noise }.grow(&Presorted::of(table), &vec![1; table.len()])
 }
 
 /// The leaf's value for an observation.
@@ -151,7 +151,7 @@ impl Presorted {
 
 struct Grower<'t> {
     table: &'t Table,
-    growth: Growth,
+    params: ForestParams,
     noise: Noise,
 }
 
@@ -192,7 +192,7 @@ impl Grower<'_> {
             sum += w * self.table.target[*i as usize];
         }
         let mean = sum / weight;
-        let splittable = weight >= 2.0 * self.growth.least_leaf as f64 && members.len() > 1;
+        let splittable = weight >= 2.0 * self.params.least_leaf as f64 && members.len() > 1;
         let split = if splittable { self.best_split(orders, weights, &range, weight, mean) } else { None };
         let Some(split) = split else {
             tree.feature.push(-1);
@@ -224,7 +224,7 @@ impl Grower<'_> {
         mean: f64,
     ) -> Option<Split> {
         let features = self.table.columns.len();
-        let wanted = ((self.growth.feature_share * features as f64).round() as usize).clamp(1, features);
+        let wanted = ((self.params.feature_share * features as f64).round() as usize).clamp(1, features);
         let mut candidates: Vec<usize> = (0..features).collect();
         let mut best: Option<Split> = None;
         for tried in 0..wanted {
@@ -252,7 +252,7 @@ impl Grower<'_> {
         place: f64,
     ) -> Option<Split> {
         let column = &self.table.columns[feature];
-        let least = self.growth.least_leaf as f64;
+        let least = self.params.least_leaf as f64;
         let (mut left_weight, mut left_sum) = (0.0, 0.0);
         let mut best = (1e-12 * weight, None);
         for pair in order.windows(2) {

@@ -7,11 +7,11 @@
 use seepd_features::statistics::CycleStatistics;
 use seepd_model::accuracy::{Decade, Judged, coverage, decades, median_relative_error};
 use seepd_model::relative::{
-    Comparison, DRIFT_ALLOWANCE, Inputs, MAX_CHANGES, centred, half_width, log_response, standardised,
+    Comparison, DRIFT_ALLOWANCE, Inputs, MAX_CHANGES, centred, half_width, log_leak_residual, standardised,
 };
 use seepd_model::schema::{
-    DeadbandFile, DetectionFile, KindFile, NoveltyFile, RelativeFile, RelativeGolden, Transform, Tree,
-    ViewFile,
+    DeadbandFile, DetectionFile, KindFile, RelativeFile, RelativeGolden, TrainingDistribution, Transform,
+    Tree, ViewFile,
 };
 use seepd_model::{Ensemble, ModelError, ModelFile};
 use seepd_sim::noise::Noise;
@@ -21,11 +21,11 @@ use serde::Serialize;
 
 use crate::conformal::{self, Prediction, significant};
 use crate::dataset::{self, Observation, Reading};
-use crate::forest::{Forest, Growth, Table};
+use crate::forest::{Forest, ForestParams, Table};
 use crate::linear;
-use crate::novelty;
+use crate::out_of_distribution;
 use crate::report::NOISE_LEVELS;
-use crate::train::Settings;
+use crate::train::TrainingSettings;
 
 /// Cycles that a baseline is the mean of.
 pub const BASELINE_CYCLES: usize = 50;
@@ -110,7 +110,7 @@ const SHARE_HEALTHY: f64 = 0.25;
 const SHARE_SMALL: f64 = 0.25;
 /// Offset of the logarithm, m²: below it errors count absolutely.
 const OFFSET_M2: f64 = 2e-8;
-/// Regularisation of the response, over the mean square of its terms.
+/// Regularisation of the leak residual, over the mean square of its terms.
 const RIDGE: f64 = 1e-7;
 /// The same of the dead band, whose terms are standardised.
 const DEADBAND_RIDGE: f64 = 1e-6;
@@ -118,9 +118,9 @@ const DEADBAND_RIDGE: f64 = 1e-6;
 const DEADBAND_ROOM: f64 = 1.25;
 /// Cycles with which machines of a kind are calibrated by themselves.
 const LEAST_OF_A_KIND: usize = 200;
-/// How the trees that correct the response are grown. The response leaves them little, so that small ones do.
-const GROWTH: Growth = Growth { learners: 24, least_leaf: 40, feature_share: 0.5 };
-/// Room over the largest change of load that was learned from: the response is smooth.
+/// How the trees that correct the leak residual are grown. The leak residual leaves them little, so that small ones do.
+const FOREST_PARAMS: ForestParams = ForestParams { learners: 24, least_leaf: 40, feature_share: 0.5 };
+/// Room over the largest change of load that was learned from: the leak residual is smooth.
 const LOAD_ROOM: f64 = 2.0;
 /// Threshold of the cumulative sum, standard deviations.
 const THRESHOLD: f64 = 10.0;
@@ -174,14 +174,14 @@ enum Levels<'a> {
 /// A level of noise, and the cycle's mean command by phase at it.
 type Leveled = (f64, Vec<f64>);
 
-/// Where the conditions and the reading of cycles come from.
-struct Workshop<'a> {
+/// Simulates pairs of a baseline and a later cycle of the same machine.
+struct PairSimulator<'a> {
     spec: &'a MachineSpec,
-    settings: &'a Settings,
+    settings: &'a TrainingSettings,
     reading: &'a Reading<'a>,
 }
 
-impl Workshop<'_> {
+impl PairSimulator<'_> {
     /// Machines with so many cycles each beside the baseline. Leaks are stratified over all of them.
     fn pairs(
         &self,
@@ -373,12 +373,13 @@ pub struct RelativeAccuracy {
     pub coverage: f64,
     /// The same and the median relative error for 5e-8 … 1e-7 … 1e-6 … 1e-5 m².
     pub decades: Vec<Decade>,
-    /// Standard deviation of the response of machines without a leak, m².
+    /// Standard deviation of the leak residual of machines without a leak, m².
     pub healthy_deviation_m2: f64,
     /// Share of machines without a leak whose interval begins above 0.
     pub healthy_above_0: f64,
-    /// Share of cycles that are taken for new.
-    pub novel: f64,
+    /// Share of cycles whose out-of-distribution score exceeds 1.
+    #[serde(rename = "novel")]
+    pub out_of_distribution: f64,
 }
 
 /// What is learned before it is calibrated.
@@ -387,7 +388,7 @@ struct Learned {
     baseline_scale: Vec<f64>,
     deadband: DeadbandFile,
     /// Coefficients with the command alone, and with the load too.
-    responses: [Vec<f64>; 2],
+    residual_coefficients: [Vec<f64>; 2],
     trees: Vec<Tree>,
     ensemble: Ensemble,
 }
@@ -395,16 +396,16 @@ struct Learned {
 impl Learned {
     fn from(pairs: &[Pair], seed: u64) -> Option<Self> {
         let (baseline_mean, baseline_scale) = spread_of_baselines(pairs);
-        let mut responses = [Vec::new(), Vec::new()];
-        for (knows_load, response) in [false, true].into_iter().zip(&mut responses) {
-            *response = fit_response(pairs, &baseline_mean, &baseline_scale, knows_load)?;
+        let mut residual_coefficients = [Vec::new(), Vec::new()];
+        for (knows_load, coefficients) in [false, true].into_iter().zip(&mut residual_coefficients) {
+            *coefficients = fit_leak_residual(pairs, &baseline_mean, &baseline_scale, knows_load)?;
         }
         let deadband = fit_deadband(pairs, &baseline_mean, &baseline_scale)?;
         let mut learned = Learned {
             baseline_mean,
             baseline_scale,
             deadband,
-            responses,
+            residual_coefficients,
             trees: Vec::new(),
             ensemble: Ensemble::from_checked(
                 &[],
@@ -420,9 +421,9 @@ impl Learned {
         Inputs::standardised(&self.baseline_mean, &self.baseline_scale, comparison)
     }
 
-    fn response_m2(&self, comparison: &Comparison<'_>) -> f64 {
-        let coefficients = &self.responses[usize::from(comparison.load_change.is_some())];
-        self.inputs(comparison).response(coefficients, &mut [0.0; MAX_CHANGES])
+    fn leak_residual_m2(&self, comparison: &Comparison<'_>) -> f64 {
+        let coefficients = &self.residual_coefficients[usize::from(comparison.load_change.is_some())];
+        self.inputs(comparison).leak_residual(coefficients, &mut [0.0; MAX_CHANGES])
     }
 
     /// Trees on both views of all pairs: the correction is about the same.
@@ -432,7 +433,7 @@ impl Learned {
         for knows_load in [false, true] {
             for pair in pairs {
                 let comparison = pair.comparison(0, knows_load);
-                let logarithm = log_response(self.response_m2(&comparison), OFFSET_M2);
+                let logarithm = log_leak_residual(self.leak_residual_m2(&comparison), OFFSET_M2);
                 let inputs = self.inputs(&comparison).of_trees(logarithm);
                 for (column, value) in table.columns.iter_mut().zip(inputs) {
                     column.push(value);
@@ -440,7 +441,7 @@ impl Learned {
                 table.target.push(libm::log(pair.leak_area_m2 + OFFSET_M2) - logarithm);
             }
         }
-        let forest = Forest::grow(&table, GROWTH, seed);
+        let forest = Forest::grow(&table, FOREST_PARAMS, seed);
         self.ensemble = Ensemble::from_checked(
             &forest.trees,
             Transform::Identity,
@@ -451,7 +452,7 @@ impl Learned {
 
     fn predict(&self, pair: &Pair, level: usize, knows_load: bool) -> Prediction {
         let comparison = pair.comparison(level, knows_load);
-        let logarithm = log_response(self.response_m2(&comparison), OFFSET_M2);
+        let logarithm = log_leak_residual(self.leak_residual_m2(&comparison), OFFSET_M2);
         let (mean, spread) = self.ensemble.vote(&self.inputs(&comparison).of_trees(logarithm));
         let truth = libm::log(pair.leak_area_m2 + OFFSET_M2);
         Prediction { truth, mean: logarithm + mean, spread }
@@ -465,8 +466,8 @@ impl Learned {
         let kind = |pairs: Vec<&Pair>| {
             self.kind(if pairs.len() < LEAST_OF_A_KIND { &all } else { &pairs }, knows_load)
         };
-        let response = self.responses[usize::from(knows_load)].clone();
-        ViewFile { response, plain: kind(plain), deadband: kind(others) }
+        let leak_residual = self.residual_coefficients[usize::from(knows_load)].clone();
+        ViewFile { leak_residual, plain: kind(plain), deadband: kind(others) }
     }
 
     fn kind(&self, pairs: &[&Pair], knows_load: bool) -> KindFile {
@@ -484,8 +485,9 @@ impl Learned {
                 .map(|level| libm::exp(self.predict(pair, level, knows_load).mean) - OFFSET_M2)
         });
         let calibration = conformal::calibration(&by_noise, estimates);
-        let responses = healthy().map(|pair| self.response_m2(&pair.comparison(QUIET, knows_load)).abs());
-        KindFile { calibration, reference_m2: significant(responses.fold(0.0, f64::max)) }
+        let residuals =
+            healthy().map(|pair| self.leak_residual_m2(&pair.comparison(QUIET, knows_load)).abs());
+        KindFile { calibration, reference_m2: significant(residuals.fold(0.0, f64::max)) }
     }
 
     /// Half width of the dead band that the pair's baseline shows.
@@ -501,7 +503,7 @@ impl Learned {
         self.deadband.limit = significant(DEADBAND_ROOM * shown.fold(0.0, f64::max));
     }
 
-    fn novelty(&self, learned: [&[Pair]; 2], others: &[Pair]) -> Option<Vec<NoveltyFile>> {
+    fn distributions(&self, learned: [&[Pair]; 2], others: &[Pair]) -> Option<Vec<TrainingDistribution>> {
         let row = |pair: &Pair, level: usize| {
             let reading = &pair.readings[level];
             let changes = reading.present.iter().zip(&reading.baseline).map(|(now, before)| now - before);
@@ -510,7 +512,7 @@ impl Learned {
         let learned = learned.into_iter().flatten().map(|pair| row(pair, 0)).collect();
         let others =
             others.iter().flat_map(|pair| (0..CALIBRATED_NOISE.len()).map(move |level| row(pair, level)));
-        novelty::describe(learned, others)
+        out_of_distribution::describe(learned, others)
     }
 }
 
@@ -553,9 +555,9 @@ fn fit_deadband(pairs: &[Pair], mean: &[f64], scale: &[f64]) -> Option<DeadbandF
     Some(DeadbandFile { intercept: solution[0], slopes: solution[1..].to_vec(), limit: 0.0 })
 }
 
-/// Ridge regression of the leak area on the response's terms; errors count relative to area + offset. `None` where the terms are not
+/// Ridge regression of the leak area on the leak residual's terms; errors count relative to area + offset. `None` where the terms are not
 /// finite.
-fn fit_response(pairs: &[Pair], mean: &[f64], scale: &[f64], knows_load: bool) -> Option<Vec<f64>> {
+fn fit_leak_residual(pairs: &[Pair], mean: &[f64], scale: &[f64], knows_load: bool) -> Option<Vec<f64>> {
     let terms = Inputs::terms(mean.len(), knows_load);
     let rows: Vec<Vec<f64>> = pairs
         .iter()
@@ -602,13 +604,13 @@ fn cycles_between_false_alarms(threshold: f64, allowance: f64) -> f64 {
 /// Learns and calibrates; `None` where the simulated cycles were not found or carry no information. `tell` hears of the machines done and all.
 pub(crate) fn learn(
     spec: &MachineSpec,
-    settings: &Settings,
+    settings: &TrainingSettings,
     reading: &Reading<'_>,
     tell: &mut dyn FnMut(usize, usize),
 ) -> Option<RelativeFile> {
-    let workshop = Workshop { spec, settings, reading };
+    let simulator = PairSimulator { spec, settings, reading };
     let all = settings.relative_machines + settings.calibrated_on;
-    let pairs = workshop.pairs(
+    let pairs = simulator.pairs(
         settings.relative_machines,
         LEARNED_CYCLES,
         purpose::LEARN,
@@ -619,7 +621,7 @@ pub(crate) fn learn(
     let mut learned = Learned::from(&pairs, settings.seed)?;
     let mut levels = CALIBRATED_NOISE.to_vec();
     levels.push(0.0);
-    let others = workshop.pairs(
+    let others = simulator.pairs(
         settings.calibrated_on,
         CALIBRATED_CYCLES,
         purpose::CALIBRATE,
@@ -627,7 +629,7 @@ pub(crate) fn learn(
         leak_at,
         &mut |done| tell(settings.relative_machines + done, all),
     );
-    let beyond = workshop.pairs(
+    let beyond = simulator.pairs(
         BEYOND_MACHINES,
         1,
         purpose::BEYOND,
@@ -640,7 +642,7 @@ pub(crate) fn learn(
         offset_m2: OFFSET_M2,
         command: learned.view(&others, false),
         load: learned.view(&others, true),
-        novelty: learned.novelty([&pairs, &beyond], &others)?,
+        training_distributions: learned.distributions([&pairs, &beyond], &others)?,
         largest_load_change: LOAD_ROOM * settings.conditions.load.max(0.01),
         detection: DetectionFile {
             threshold: THRESHOLD,
@@ -670,7 +672,7 @@ fn golden(file: &RelativeFile, pairs: &[Pair]) -> Option<Vec<RelativeGolden>> {
             noise: comparison.noise,
             estimate: given.estimate.value,
             interval: given.estimate.interval,
-            response: given.response_m2,
+            leak_residual: given.leak_residual_m2,
         }
     };
     Some(chosen.map(of).collect())
@@ -688,14 +690,14 @@ fn one_lpm_m2(file: &ModelFile) -> f64 {
 /// [`ModelError`] where the model's relative part is damaged.
 pub(crate) fn measure(
     spec: &MachineSpec,
-    settings: &Settings,
+    settings: &TrainingSettings,
     reading: &Reading<'_>,
     (file, relative): (&ModelFile, RelativeFile),
     tell: &mut dyn FnMut(usize, usize),
 ) -> Result<RelativeReport, ModelError> {
     let relative = seepd_model::Relative::from_file(relative)?;
-    let workshop = Workshop { spec, settings, reading };
-    let pairs = workshop.pairs(
+    let simulator = PairSimulator { spec, settings, reading };
+    let pairs = simulator.pairs(
         settings.tested_on,
         1,
         purpose::TEST,
@@ -740,9 +742,11 @@ fn accuracy_of(
         median_error_above_1_lpm: median_relative_error(large),
         coverage: coverage(cases.iter().filter(|case| case.truth_m2 >= dataset::LEAK_RANGE_M2.0)),
         decades: decades(&cases),
-        healthy_deviation_m2: (healthy.iter().map(|e| e.response_m2.powi(2)).sum::<f64>() / count).sqrt(),
+        healthy_deviation_m2: (healthy.iter().map(|e| e.leak_residual_m2.powi(2)).sum::<f64>() / count)
+            .sqrt(),
         healthy_above_0: healthy.iter().filter(|e| e.estimate.interval[0] > 0.0).count() as f64 / count,
-        novel: results.iter().filter(|(_, given)| given.novelty.ratio > 1.0).count() as f64
+        out_of_distribution: results.iter().filter(|(_, given)| given.out_of_distribution.score > 1.0).count()
+            as f64
             / results.len().max(1) as f64,
     }
 }

@@ -10,8 +10,8 @@ use seepd_model::schema::Transform;
 use serde::Serialize;
 
 use crate::dataset::{self, Observation, Reading};
-use crate::forest::{Forest, Growth, predict};
-use crate::train::{ARTICLE_NOISE, Case, Features, Settings, grow_like, noise_of};
+use crate::forest::{Forest, ForestParams, predict};
+use crate::train::{ARTICLE_NOISE, Case, Features, TrainingSettings, grow_like, noise_of};
 
 /// Standard deviations of the command's noise in the article's figures 8 and 9.
 pub const NOISE_LEVELS: [f64; 5] = [0.001, 0.003, 0.005, 0.007, 0.01];
@@ -35,8 +35,9 @@ pub struct Accuracy {
     pub largest_healthy_m2: f64,
     /// Share of machines in the main range whose truth lies within the 90 % interval.
     pub coverage: f64,
-    /// Share of all machines that are taken for unlike training.
-    pub novel: f64,
+    /// Share of all machines whose out-of-distribution score exceeds 1.
+    #[serde(rename = "novel")]
+    pub out_of_distribution: f64,
 }
 
 /// The noise table's line: learned at the article's noise, tested at another.
@@ -72,8 +73,8 @@ pub(crate) struct Subject<'a> {
     pub(crate) reading: &'a Reading<'a>,
     pub(crate) observations: &'a [Observation],
     pub(crate) learned: &'a [Case],
-    pub(crate) growth: Growth,
-    pub(crate) settings: &'a Settings,
+    pub(crate) params: ForestParams,
+    pub(crate) settings: &'a TrainingSettings,
 }
 
 /// A machine's cycle as the model reads it: features, and mean commands by phase.
@@ -99,7 +100,7 @@ pub(crate) fn measure(subject: &Subject<'_>) -> Report {
 pub(crate) fn read_at_each_noise<const LEVELS: usize>(
     reading: &Reading<'_>,
     features: &Features<'_>,
-    settings: &Settings,
+    settings: &TrainingSettings,
     (observation, commands): (&Observation, &[f64]),
     filter: Option<Kalman>,
     levels: &[f64; LEVELS],
@@ -111,15 +112,15 @@ pub(crate) fn read_at_each_noise<const LEVELS: usize>(
 }
 
 fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accuracy {
-    let (cases, novelties): (Vec<Judged>, Vec<f64>) = subject
+    let (cases, scores): (Vec<Judged>, Vec<f64>) = subject
         .observations
         .iter()
         .zip(readings)
         .filter_map(|(observation, reading)| {
             let (features, phase_means) = reading[0][level].as_ref()?;
             let estimate = subject.model.estimate_at(features, NOISE_LEVELS[level]);
-            let novelty = subject.model.novelty(&estimate, phase_means).ratio;
-            Some((Judged::new(observation.leak_area_m2, &estimate), novelty))
+            let score = subject.model.out_of_distribution(&estimate, phase_means).score;
+            Some((Judged::new(observation.leak_area_m2, &estimate), score))
         })
         .unzip();
     let main: Vec<Judged> = cases.iter().filter(|case| in_main_range(case.truth_m2)).copied().collect();
@@ -141,14 +142,15 @@ fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accur
             .map(|case| case.estimate_m2)
             .fold(0.0, f64::max),
         coverage: coverage(main.iter()),
-        novel: novelties.iter().filter(|ratio| **ratio > 1.0).count() as f64 / novelties.len().max(1) as f64,
+        out_of_distribution: scores.iter().filter(|score| **score > 1.0).count() as f64
+            / scores.len().max(1) as f64,
     }
 }
 
 fn noise_table(subject: &Subject<'_>, readings: &[Readings]) -> Vec<NoiseLine> {
     let forests: Vec<Option<Forest>> = (0..2)
         .map(|which| {
-            grow_like(subject.features, subject.learned, which, subject.growth, subject.settings.seed)
+            grow_like(subject.features, subject.learned, which, subject.params, subject.settings.seed)
         })
         .collect();
     NOISE_LEVELS

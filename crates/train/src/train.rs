@@ -4,8 +4,8 @@ use rayon::prelude::*;
 use seepd_features::statistics::CycleStatistics;
 use seepd_features::{CycleDefinition, Feature, Kalman, Projections};
 use seepd_model::schema::{
-    Calibration, Cycle, Filter, Golden, ModelFile, NoveltyFile, Orifice, ProjectionFile, SCHEMA, Training,
-    Transform,
+    Calibration, Cycle, Filter, Golden, ModelFile, Orifice, ProjectionFile, SCHEMA, Training,
+    TrainingDistribution, Transform,
 };
 use seepd_model::{Ensemble, Model, ModelError};
 use seepd_sim::noise::Noise;
@@ -15,16 +15,16 @@ use sha2::{Digest, Sha256};
 use crate::conformal::{self, Prediction};
 use crate::dataset::{self, Observation, Reading, Spread};
 use crate::duty;
-use crate::forest::{Forest, Growth, Table};
-use crate::novelty;
+use crate::forest::{Forest, ForestParams, Table};
+use crate::out_of_distribution;
 use crate::pca;
 use crate::relative::{self, Conditions, RelativeReport};
 use crate::report::{self, Report};
-use crate::search::{self, Found};
+use crate::search::{self, BestForest};
 
 /// What training is asked for.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Settings {
+pub struct TrainingSettings {
     /// Seed of all random choices.
     pub seed: u64,
     /// Simulated machines to learn from.
@@ -43,7 +43,7 @@ pub struct Settings {
     pub conditions: Conditions,
     /// Machines from which that comparison is learned.
     pub relative_machines: usize,
-    /// Machines that calibrate intervals and novelty.
+    /// Machines that calibrate intervals and out-of-distribution limits.
     pub calibrated_on: usize,
     /// Machines that the comparison is measured on.
     pub tested_on: usize,
@@ -53,9 +53,9 @@ pub struct Settings {
     pub most_bytes: usize,
 }
 
-impl Default for Settings {
+impl Default for TrainingSettings {
     fn default() -> Self {
-        Settings {
+        TrainingSettings {
             seed: 1,
             observations: 4096,
             held_out: 1024,
@@ -140,7 +140,7 @@ pub struct Trained {
     /// What was measured of estimates relative to a baseline.
     pub relative: RelativeReport,
     /// What the search found.
-    pub found: Found,
+    pub found: BestForest,
     /// What the model learned from: its features by column, and the leak areas, m².
     pub learned: Table,
 }
@@ -174,7 +174,7 @@ const GOLDEN: usize = 12;
 /// [`TrainError`].
 pub fn train(
     spec: &MachineSpec,
-    settings: &Settings,
+    settings: &TrainingSettings,
     tell: &mut dyn FnMut(Stage, usize, usize),
 ) -> Result<Trained, TrainError> {
     let cycle = with_templates(spec, settings)?;
@@ -205,8 +205,9 @@ pub fn train(
             tell(Stage::Search, done, all);
         },
     )?;
-    let forest = Forest::grow(&table, found.growth, settings.seed);
-    let (calibration, novelty) = calibrate(spec, settings, &reading, &features, &learned, &forest, transform);
+    let forest = Forest::grow(&table, found.params, settings.seed);
+    let (calibration, training_distributions) =
+        calibrate(spec, settings, &reading, &features, &learned, &forest, transform);
     let relative =
         relative::learn(spec, settings, &reading, &mut |done, all| tell(Stage::Compare, done, all))
             .ok_or(TrainError::Comparison { simulated: settings.relative_machines })?;
@@ -224,7 +225,7 @@ pub fn train(
         transform,
         trees: forest.trees,
         calibration,
-        novelty,
+        training_distributions,
         orifice: Orifice {
             discharge_coefficient: spec.plant.discharge_coefficient,
             density_kg_per_m3: spec.plant.density_kg_per_m3,
@@ -246,7 +247,7 @@ pub fn train(
         reading: &reading,
         observations: &observations,
         learned: &learned,
-        growth: found.growth,
+        params: found.params,
         settings,
     });
     tell(Stage::Measure, 1, 1);
@@ -300,7 +301,7 @@ pub(crate) const ARTICLE_NOISE: f64 = 0.001;
 
 fn learn_set(
     spec: &MachineSpec,
-    settings: &Settings,
+    settings: &TrainingSettings,
     reading: &Reading<'_>,
     tell: &mut dyn FnMut(Stage, usize, usize),
 ) -> Result<Vec<Case>, TrainError> {
@@ -332,7 +333,7 @@ fn learn_set(
 }
 
 /// The random stream of an observation's measurement noise, apart from the one of its parameters.
-pub(crate) fn noise_of(observation: &Observation, settings: &Settings) -> Noise {
+pub(crate) fn noise_of(observation: &Observation, settings: &TrainingSettings) -> Noise {
     Noise::new(settings.seed ^ 0x006e_6f69_7365, observation.stream)
 }
 
@@ -341,7 +342,7 @@ fn log_uniform(noise: &mut Noise, (low, high): (f64, f64)) -> f64 {
 }
 
 /// Fills the two anchors' templates from simulated machines.
-fn with_templates(spec: &MachineSpec, settings: &Settings) -> Result<Cycle, TrainError> {
+fn with_templates(spec: &MachineSpec, settings: &TrainingSettings) -> Result<Cycle, TrainError> {
     let mut cycle = duty::cycle_of(spec)?;
     let windows = duty::template_windows(spec)?;
     let rate = 1.0 / spec.controller.period_s;
@@ -532,13 +533,13 @@ impl<'a> Features<'a> {
 /// The intervals' calibration and what cycles look like, on machines that were not learned from, at each level of noise.
 fn calibrate(
     spec: &MachineSpec,
-    settings: &Settings,
+    settings: &TrainingSettings,
     reading: &Reading<'_>,
     features: &Features<'_>,
     learned: &[Case],
     forest: &Forest,
     transform: Transform,
-) -> (Calibration, Vec<NoveltyFile>) {
+) -> (Calibration, Vec<TrainingDistribution>) {
     let levels = &relative::CALIBRATED_NOISE;
     let observations =
         dataset::draw(spec, settings.spread, settings.calibrated_on, settings.seed, purpose::CALIBRATE);
@@ -583,13 +584,13 @@ fn describe_cycles<const LEVELS: usize>(
     learned: &[Case],
     others: &[[Option<report::Read>; LEVELS]],
     beyond: &[[Option<report::Read>; LEVELS]],
-) -> Vec<NoveltyFile> {
+) -> Vec<TrainingDistribution> {
     let row = |(values, means): &report::Read| (ensemble.vote(values).0, means.clone());
     // Leaks ascend, so that each half has all sizes.
     let half = |from: usize| beyond.iter().skip(from).step_by(2).flatten().flatten().map(row);
     let learned = learned.iter().map(|case| row(&features.read(&case.mixed))).chain(half(0)).collect();
     let others = others.iter().flatten().flatten().map(row).chain(half(1));
-    novelty::describe(learned, others).unwrap_or_default()
+    out_of_distribution::describe(learned, others).unwrap_or_default()
 }
 
 /// Pairs spread over the range of the target.
@@ -611,7 +612,7 @@ pub(crate) fn grow_like(
     features: &Features<'_>,
     learned: &[Case],
     which: usize,
-    growth: Growth,
+    params: ForestParams,
     seed: u64,
 ) -> Option<Forest> {
     let transform = Transform::LnOffset(LN_OFFSET_M2);
@@ -623,5 +624,5 @@ pub(crate) fn grow_like(
         .collect();
     let target: Vec<f64> = cases.iter().map(|case| case.1).collect();
     (!cases.is_empty())
-        .then(|| Forest::grow(&features.table(cases.iter().map(|case| case.0), &target), growth, seed))
+        .then(|| Forest::grow(&features.table(cases.iter().map(|case| case.0), &target), params, seed))
 }

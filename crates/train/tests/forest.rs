@@ -1,7 +1,7 @@
 //! Tree growing against an independent implementation, and what bagging promises.
 
 use seepd_sim::noise::Noise;
-use seepd_train::forest::{Forest, Growth, Table, grow_single, predict};
+use seepd_train::forest::{Forest, ForestParams, Table, grow_single, predict};
 
 /// A smooth function of two of four features, with noise.
 fn table(count: usize, seed: u64) -> Table {
@@ -30,7 +30,7 @@ fn reference_single_tree_equals_smartcores() {
             ..Default::default()
         };
         let theirs = DecisionTreeRegressor::fit(&x, &table.target, parameters).unwrap().predict(&x).unwrap();
-        let ours = grow_single(&table, Growth { learners: 1, least_leaf, feature_share: 1.0 }, 1);
+        let ours = grow_single(&table, ForestParams { learners: 1, least_leaf, feature_share: 1.0 }, 1);
         let squared = |predicted: &dyn Fn(usize) -> f64| -> f64 {
             (0..table.len()).map(|i| (predicted(i) - table.target[i]).powi(2)).sum::<f64>()
                 / table.len() as f64
@@ -47,9 +47,9 @@ fn reference_single_tree_equals_smartcores() {
 #[test]
 fn property_same_seed_same_trees_other_seed_others() {
     let table = table(300, 6);
-    let growth = Growth { learners: 8, least_leaf: 3, feature_share: 0.5 };
+    let params = ForestParams { learners: 8, least_leaf: 3, feature_share: 0.5 };
     let (a, b, c) =
-        (Forest::grow(&table, growth, 1), Forest::grow(&table, growth, 1), Forest::grow(&table, growth, 2));
+        (Forest::grow(&table, params, 1), Forest::grow(&table, params, 1), Forest::grow(&table, params, 2));
     assert_eq!(a.trees, b.trees);
     assert_ne!(a.trees, c.trees);
 }
@@ -59,7 +59,7 @@ fn property_same_seed_same_trees_other_seed_others() {
 #[test]
 fn property_out_of_bag_error_forecasts_the_error_on_new_data() {
     let (seen, new) = (table(400, 7), table(2000, 8));
-    let forest = Forest::grow(&seen, Growth { learners: 80, least_leaf: 3, feature_share: 0.75 }, 3);
+    let forest = Forest::grow(&seen, ForestParams { learners: 80, least_leaf: 3, feature_share: 0.75 }, 3);
     let rms = |predicted: &dyn Fn(usize) -> f64| -> f64 {
         ((0..new.len()).map(|i| (predicted(i) - new.target[i]).powi(2)).sum::<f64>() / new.len() as f64)
             .sqrt()

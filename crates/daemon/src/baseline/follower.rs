@@ -51,7 +51,7 @@ fn compare(
 ) -> RelativeEstimate {
     let noise = cycle.statistics.noise;
     let estimate = relative.estimate(&Comparison { baseline, present, load_change, noise });
-    if estimate.novelty.ratio <= 1.0 {
+    if estimate.out_of_distribution.score <= 1.0 {
         return estimate;
     }
     let load_before = load_change.map(|change| 1.0 / (1.0 + change) - 1.0);
@@ -61,15 +61,15 @@ fn compare(
         load_change: load_before,
         noise,
     });
-    if before.novelty.ratio > 1.0 || before.response_m2 <= 0.0 {
+    if before.out_of_distribution.score > 1.0 || before.leak_residual_m2 <= 0.0 {
         return estimate;
     }
     let healthy_limit = relative.kind(load_change.is_some(), baseline).calibration.healthy_limit;
     RelativeEstimate {
         estimate: Estimate { value: 0.0, interval: [0.0, healthy_limit], ..estimate.estimate },
-        response_m2: -before.response_m2,
+        leak_residual_m2: -before.leak_residual_m2,
         contributions_m2: before.contributions_m2.map(|part| -part),
-        novelty: before.novelty,
+        out_of_distribution: before.out_of_distribution,
     }
 }
 
@@ -120,9 +120,9 @@ impl Follower {
     pub fn take(&mut self, model: &Model, cycle: &ValidCycle<'_>, end_s: f64) -> Option<Followed> {
         let (estimate, load, load_change) = self.compare(model, cycle)?;
         let relative = model.relative()?;
-        let is_new = estimate.novelty.ratio > 1.0;
+        let is_new = estimate.out_of_distribution.score > 1.0;
         if !is_new {
-            self.drift.take(estimate.response_m2, &self.limits(relative, load_change.is_some()));
+            self.drift.take(estimate.leak_residual_m2, &self.limits(relative, load_change.is_some()));
             if self.drift.cycles_since_onset() == 0 {
                 self.trend.clear();
             } else {

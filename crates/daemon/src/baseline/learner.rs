@@ -87,7 +87,8 @@ impl Learner {
         }
         let middle: Vec<f64> =
             (0..phases).map(|phase| median(self.cycles.iter().map(|cycle| cycle.means[phase]))).collect();
-        let is_alike = |cycle: &&Learned| compare(relative, &middle, cycle, None).novelty.ratio <= 1.0;
+        let is_alike =
+            |cycle: &&Learned| compare(relative, &middle, cycle, None).out_of_distribution.score <= 1.0;
         let kept: Vec<&Learned> = self.cycles.iter().filter(is_alike).collect();
         if kept.len() < LEAST_CYCLES {
             return Err(format!(
@@ -112,9 +113,9 @@ impl Learner {
             .then(|| loads.iter().sum::<f64>() / count)
             .filter(|load_n| load_n.abs() >= LEAST_LOAD_N);
         let responses: Vec<f64> =
-            kept.iter().map(|cycle| compare(relative, &mean, cycle, None).response_m2).collect();
+            kept.iter().map(|cycle| compare(relative, &mean, cycle, None).leak_residual_m2).collect();
         let with_load = load_n.map(|load_n| {
-            deviation(kept.iter().map(|cycle| compare(relative, &mean, cycle, Some(load_n)).response_m2))
+            deviation(kept.iter().map(|cycle| compare(relative, &mean, cycle, Some(load_n)).leak_residual_m2))
         });
         let absolute = |of: fn(&Estimate) -> f64| median(kept.iter().map(|cycle| of(&cycle.absolute)));
         let mut baseline = Baseline {

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use seepd_blind::cause::{Case, Truth};
 use seepd_blind::press::Variation;
 use seepd_blind::score::{Answer, Answered, Scores, score};
-use seepd_gap::{Log, Record, Settings, nominal_gap};
+use seepd_gap::{DiagnosisSettings, Log, Record, nominal_gap};
 use seepd_signals::Signal;
 use seepd_sim::MachineSpec;
 use seepd_sim::noise::Noise;
@@ -280,7 +280,8 @@ fn diagnose(arguments: &DiagnoseArguments) -> Result<Outcome, Failure> {
             }
             let Some(log) = &log else { continue };
             let begin = std::time::Instant::now();
-            let settings = Settings { without: vec![without.clone()], ..Settings::default() };
+            let settings =
+                DiagnosisSettings { without: vec![without.clone()], ..DiagnosisSettings::default() };
             let (mut diagnosis, machine) = pool
                 .install(|| answer(&view.of(log), &spec, &settings, &mut |_| ()))
                 .map_err(|error| Failure::data(format!("{name}: {error}")))?;

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use clap::{Args, Subcommand};
 use seepd_gap::report::{Diagnosis, Verdict};
-use seepd_gap::{Axis, Log, Record, RecordError, Settings, cannot_tell, diagnose};
+use seepd_gap::{Axis, DiagnosisSettings, Log, Record, RecordError, cannot_tell, diagnose};
 use seepd_settings::unknown_key;
 use seepd_signals::Signal;
 use seepd_sim::electric::ElectricAxis;
@@ -129,7 +129,7 @@ fn run_on<A: PlantFile>(
     let outputs = GapOutputs::claim(arguments, path, &config)?;
     let (log, notes) = read(path, &config, spec)?;
     let steps = Steps::begin(seepd_gap::diagnosis::STEPS as u64, "diagnosing");
-    let settings = Settings { without: arguments.without.clone(), ..Settings::default() };
+    let settings = DiagnosisSettings { without: arguments.without.clone(), ..DiagnosisSettings::default() };
     let diagnosed = pool(arguments.threads)?
         .install(|| answer(&log, spec, &settings, &mut |done| steps.set(done as u64)));
     drop(steps);
@@ -189,7 +189,7 @@ pub(super) fn pool(threads: Option<u16>) -> Result<rayon::ThreadPool, Failure> {
 pub(super) fn answer<A: Axis>(
     log: &Log,
     spec: &A,
-    settings: &Settings,
+    settings: &DiagnosisSettings,
     tell: &mut dyn FnMut(usize),
 ) -> Result<(Diagnosis, A), RecordError> {
     match Record::new(log, spec) {

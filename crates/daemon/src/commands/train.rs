@@ -7,7 +7,7 @@ use clap::Args;
 use seepd_train::relative::{RelativeAccuracy, RelativeReport};
 use seepd_train::report::{Accuracy, NoiseLine, Report};
 use seepd_train::train::Stage;
-use seepd_train::{Settings, Spread, TrainError, Trained};
+use seepd_train::{Spread, TrainError, Trained, TrainingSettings};
 use serde::Serialize;
 
 use super::simulate::read_plant;
@@ -43,19 +43,19 @@ pub struct TrainArguments {
     #[arg(long, default_value_t = 1, value_name = "S")]
     seed: u64,
     /// Simulated machines to learn from
-    #[arg(long, default_value_t = Settings::default().observations, value_name = "N")]
+    #[arg(long, default_value_t = TrainingSettings::default().observations, value_name = "N")]
     observations: usize,
     /// Simulated machines to measure on
-    #[arg(long, default_value_t = Settings::default().held_out, value_name = "N")]
+    #[arg(long, default_value_t = TrainingSettings::default().held_out, value_name = "N")]
     held_out: usize,
     /// Trials of the hyperparameter search
-    #[arg(long, default_value_t = Settings::default().trials, value_name = "N")]
+    #[arg(long, default_value_t = TrainingSettings::default().trials, value_name = "N")]
     trials: usize,
     /// Simulated machines from which the comparison with a baseline is learned, six cycles each
-    #[arg(long, default_value_t = Settings::default().relative_machines, value_name = "N")]
+    #[arg(long, default_value_t = TrainingSettings::default().relative_machines, value_name = "N")]
     compared: usize,
     /// Simulated machines that calibrate intervals
-    #[arg(long, default_value_t = Settings::default().calibrated_on, value_name = "N")]
+    #[arg(long, default_value_t = TrainingSettings::default().calibrated_on, value_name = "N")]
     calibration: usize,
     /// Measure more: estimates relative to a baseline on 8,192 machines instead of half of --held-out, and the article's experiment
     /// with noise, with and without the filter
@@ -99,7 +99,7 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
     let spec = read_plant(arguments.plant.as_deref())?;
     let mut outputs = Outputs::new(arguments.overwrite, arguments.plant.as_deref());
     let (out, data) = (outputs.claim(&arguments.out)?, outputs.claim_any(arguments.data.as_ref())?);
-    let settings = Settings {
+    let settings = TrainingSettings {
         seed: arguments.seed,
         observations: arguments.observations,
         held_out: arguments.held_out,
@@ -113,7 +113,7 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
         calibrated_on: arguments.calibration,
         noise_table: arguments.full,
         tested_on: if arguments.full { FULL_TEST } else { arguments.held_out / 2 },
-        ..Settings::default()
+        ..TrainingSettings::default()
     };
     let mut progress: Option<((Stage, usize), Steps)> = None;
     let trained = seepd_train::train(&spec, &settings, &mut |now, done, all| {
@@ -204,7 +204,7 @@ fn failure(error: &TrainError) -> Failure {
 }
 
 fn print_report(out: &mut impl Write, arguments: &TrainArguments, trained: &Trained) -> io::Result<()> {
-    let growth = trained.found.growth;
+    let params = trained.found.params;
     writeln!(
         out,
         "{}: {} trees, {} nodes, {} features, {} bytes",
@@ -219,9 +219,9 @@ fn print_report(out: &mut impl Write, arguments: &TrainArguments, trained: &Trai
         "found in {} trials: {} learners, at least {} observations a leaf, {:.0} % of the features a split; \
          out-of-bag RMS {:.4} in ln(area + 2e-8 m²)",
         trained.found.trials,
-        growth.learners,
-        growth.least_leaf,
-        100.0 * growth.feature_share,
+        params.learners,
+        params.least_leaf,
+        100.0 * params.feature_share,
         trained.found.out_of_bag_rms
     )?;
     print_accuracy(out, &trained.report)?;
@@ -268,7 +268,12 @@ fn print_relative_line(out: &mut impl Write, known: &str, accuracy: &RelativeAcc
     for decade in &accuracy.decades {
         write!(out, " {:>5.1} %", 100.0 * decade.coverage)?;
     }
-    writeln!(out, "  {:>11.2e}  {:>4.1} %", accuracy.healthy_deviation_m2, 100.0 * accuracy.novel)
+    writeln!(
+        out,
+        "  {:>11.2e}  {:>4.1} %",
+        accuracy.healthy_deviation_m2,
+        100.0 * accuracy.out_of_distribution
+    )
 }
 
 fn print_accuracy(out: &mut impl Write, report: &Report) -> io::Result<()> {
@@ -307,7 +312,7 @@ fn print_accuracy_line(out: &mut impl Write, accuracy: &Accuracy) -> io::Result<
         errors[2],
         100.0 * accuracy.coverage,
         accuracy.largest_healthy_m2,
-        100.0 * accuracy.novel
+        100.0 * accuracy.out_of_distribution
     )
 }
 

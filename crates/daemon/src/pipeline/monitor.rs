@@ -2,7 +2,7 @@
 
 use seepd_features::reader::MAX_FEATURES;
 use seepd_features::{CycleReader, CycleState, ReaderError, ValidCycle};
-use seepd_model::{Attribution, Estimate, Model, Novelty};
+use seepd_model::{Attribution, Estimate, Model, OutOfDistribution};
 
 use crate::baseline::follower::Followed;
 use crate::baseline::{Baseline, Drift, Finding, Follower, Learner, LoadKnowledge, relative_of};
@@ -103,7 +103,7 @@ impl Default for Told {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Absolute {
     pub(super) estimate: Estimate,
-    pub(super) novelty: Novelty,
+    pub(super) novelty: OutOfDistribution,
     /// What each feature contributes, in the model's order.
     pub(super) contributions: [f64; MAX_FEATURES],
 }
@@ -210,9 +210,9 @@ impl Judge<'_> {
         Absolute { estimate, novelty, contributions }
     }
 
-    fn estimate(&self, valid: &ValidCycle<'_>) -> (Estimate, Novelty) {
+    fn estimate(&self, valid: &ValidCycle<'_>) -> (Estimate, OutOfDistribution) {
         let estimate = self.model.estimate_at(valid.features, valid.statistics.noise);
-        let novelty = self.model.novelty(&estimate, &valid.statistics.phase_means());
+        let novelty = self.model.out_of_distribution(&estimate, &valid.statistics.phase_means());
         (estimate, novelty)
     }
 
@@ -227,7 +227,8 @@ impl Judge<'_> {
             Commissioning::Following(follower) => follower.compare(self.model, valid),
             _ => None,
         };
-        compared.map_or_else(|| self.estimate(valid).1.ratio, |(estimate, ..)| estimate.novelty.ratio)
+        compared
+            .map_or_else(|| self.estimate(valid).1.score, |(estimate, ..)| estimate.out_of_distribution.score)
     }
 
     /// Compares a cycle that ends at a time, s, with the baseline, where there is one.

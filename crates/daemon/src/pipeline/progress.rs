@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use seepd_features::{Outcome, ValidCycle};
-use seepd_model::Novelty;
+use seepd_model::OutOfDistribution;
 
 use super::PipelineConfig;
 use super::monitor::{Absolute, Judge};
@@ -128,8 +128,8 @@ impl Progress {
     ) -> Option<Change> {
         let absolute = judge.absolute(valid);
         let followed = judge.follow_cycle(valid, self.seconds(valid.end_ns));
-        let novelty = followed.map_or(absolute.novelty, |followed| followed.estimate.novelty);
-        let reason = (novelty.ratio > 1.0).then_some(if followed.is_some() {
+        let novelty = followed.map_or(absolute.novelty, |followed| followed.estimate.out_of_distribution);
+        let reason = (novelty.score > 1.0).then_some(if followed.is_some() {
             UNLIKE_BASELINE
         } else {
             UNLIKE_TRAINING
@@ -216,15 +216,15 @@ impl Progress {
         config: &PipelineConfig<'_>,
         judge: &mut Judge<'_>,
         at_ns: i64,
-        (novelty, reason): (Novelty, Option<&str>),
+        (novelty, reason): (OutOfDistribution, Option<&str>),
         sink: &mut impl FnMut(&Event<'_>),
     ) {
         judge.told.unlike = if reason.is_some() { judge.told.unlike.saturating_add(1) } else { 0 };
         if judge.told.unlike != UNLIKE_CYCLES {
             return;
         }
-        let where_most = judge.contributors.get(novelty.newest).map_or("", String::as_str);
-        let distance = format!("(distance {:.1} times the limit, most of it in {where_most})", novelty.ratio);
+        let where_most = judge.contributors.get(novelty.most_unusual).map_or("", String::as_str);
+        let distance = format!("(distance {:.1} times the limit, most of it in {where_most})", novelty.score);
         let news = if reason == Some(UNLIKE_BASELINE) {
             let text = format!(
                 "{UNLIKE_CYCLES} cycles in a row differ from the baseline as no leak, load, oil or supply of the training explains \
@@ -301,7 +301,7 @@ fn absolute_line<'l>(absolute: &'l Absolute, names: &'l [String]) -> AbsoluteLin
     AbsoluteLine {
         absolute_leak_area_m2: absolute.estimate.value,
         absolute_interval90_m2: absolute.estimate.interval,
-        absolute_novelty: absolute.novelty.ratio,
+        absolute_novelty: absolute.novelty.score,
         absolute_why: FeatureValues {
             names,
             values: absolute.contributions.get(..names.len()).unwrap_or_default(),
@@ -319,8 +319,8 @@ fn comparison_line<'l>(
     let area_of = |flow_lpm: f64| flow_lpm / config.flow_lpm(1.0);
     let until = |flow_lpm| growth.map(|growth| growth.time_to(area_of(flow_lpm)));
     ComparisonLine {
-        response_m2: estimate.response_m2,
-        novelty: estimate.novelty.ratio,
+        response_m2: estimate.leak_residual_m2,
+        novelty: estimate.out_of_distribution.score,
         load: *load,
         load_change: *load_change,
         finding: *finding,

@@ -1,7 +1,7 @@
-//! Learns what cycles look like, so that what is like none of them is told apart.
+//! The distribution of what training has seen, so that what lies outside of it is told apart.
 
-use seepd_model::novelty::distance;
-use seepd_model::schema::NoveltyFile;
+use seepd_model::out_of_distribution::distance;
+use seepd_model::schema::TrainingDistribution;
 
 use crate::conformal::significant;
 use crate::linear;
@@ -18,7 +18,10 @@ const ROOM: f64 = 1.25;
 pub(crate) type Row = (f64, Vec<f64>);
 
 /// Mean and covariance by range of the estimate from `learned`, limits from `others`; `None` where the values do not vary.
-pub(crate) fn describe(mut learned: Vec<Row>, others: impl Iterator<Item = Row>) -> Option<Vec<NoveltyFile>> {
+pub(crate) fn describe(
+    mut learned: Vec<Row>,
+    others: impl Iterator<Item = Row>,
+) -> Option<Vec<TrainingDistribution>> {
     learned.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut starts = vec![(0, -1e3)];
     for from in (0..learned.len()).step_by(learned.len().div_ceil(RANGES).max(1)).skip(1) {
@@ -47,7 +50,7 @@ pub(crate) fn describe(mut learned: Vec<Row>, others: impl Iterator<Item = Row>)
     Some(ranges)
 }
 
-fn range(from_y: f64, rows: &[Row]) -> Option<NoveltyFile> {
+fn range(from_y: f64, rows: &[Row]) -> Option<TrainingDistribution> {
     let (count, phases) = (rows.len() as f64, rows.first()?.1.len());
     let average = |of: &dyn Fn(&[f64]) -> f64| rows.iter().map(|(_, values)| of(values)).sum::<f64>() / count;
     let mean: Vec<f64> = (0..phases).map(|i| average(&|values| values[i])).collect();
@@ -57,5 +60,5 @@ fn range(from_y: f64, rows: &[Row]) -> Option<NoveltyFile> {
         average(&|values| (values[i] - mean[i]) * (values[j] - mean[j])) + own
     };
     let whitening = linear::inverse(phases, &linear::cholesky(phases, covariance)?);
-    Some(NoveltyFile { from_y, mean, whitening, limit: 0.0 })
+    Some(TrainingDistribution { from_y, mean, whitening, limit: 0.0 })
 }
