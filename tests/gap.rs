@@ -105,7 +105,7 @@ fn command_and_position_alone_do_for_a_dead_band() {
 }
 
 /// The leak alone is found from a plant file without one, whatever the supply does beside it: on this machine, which a diagnosis once
-/// retuned, the derivative by a leak of 0 leads nowhere.
+/// calibrated, the derivative by a leak of 0 leads nowhere.
 #[test]
 fn the_leak_is_found_from_a_plant_without_one() {
     let folder = tempfile::tempdir().unwrap();
@@ -409,19 +409,19 @@ fn an_electric_axis_is_diagnosed_by_its_own_plant_file() {
 }
 
 /// Effects that the diagnosis must not name on the nominal press, as nothing of them is left above its floor once the plant has been
-/// retuned.
+/// calibrated.
 const UNSEEN: [(&str, &str); 6] = [
     ("command_quantisation", "its steps are below the noise of the command"),
     ("cushioning", "the stops are never near"),
     ("structure_compliance", "the bed's own motion is below the position's noise"),
     ("entrained_air", "the chambers' pressures have compressed what air there is"),
-    ("pump_slip", "retuned pump flow and relief valve take it up"),
+    ("pump_slip", "calibrated pump flow and relief valve take it up"),
     ("position_quantisation", "its steps are below the noise of the position"),
 ];
 /// Error that any model is allowed, share of a signal's range.
 const MODEL_ERROR: f64 = 0.002;
 
-/// Whether what retuning leaves of each signal is within its floor and the error that any model is allowed.
+/// Whether what calibration leaves of each signal is within its floor and the error that any model is allowed.
 fn is_under_the_floor(found: &Value) -> bool {
     found["floor"].as_object().unwrap().iter().all(|(signal, floor)| {
         let gap = found["gap"]["retuned"][signal].as_f64().unwrap();

@@ -8,7 +8,7 @@ use seepd_sim::{Controller, DutyCycle, PlantParameters};
 use serde::{Deserialize, Serialize};
 
 use crate::foreign::Foreign;
-use crate::press::{Press, Values};
+use crate::press::{EffectValues, Press};
 
 /// What kind of case it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -34,7 +34,7 @@ pub struct Truth {
     /// Its set.
     pub set: Set,
     /// Effects with their values.
-    pub effects: Values,
+    pub effects: EffectValues,
     /// Whether they follow another law than the catalogue's.
     pub other_law: bool,
     /// A cause without a name in the catalogue.
@@ -217,7 +217,7 @@ fn machine(set: Set, off: f64, noise: &mut Noise) -> Truth {
     let load_variation = if noise.uniform(0.0, 1.0) < 1.0 / 3.0 { 0.02 } else { 0.0 };
     Truth {
         set,
-        effects: Values::new(),
+        effects: EffectValues::new(),
         other_law: false,
         foreign: None,
         leak_area_m2,

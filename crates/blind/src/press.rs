@@ -22,7 +22,7 @@ const SLOW_M_PER_S: f64 = 3e-3;
 const BRISTLE_PER_M: f64 = 5e4;
 
 /// Values of planted effects by effect and parameter.
-pub type Values = BTreeMap<String, BTreeMap<String, f64>>;
+pub type EffectValues = BTreeMap<String, BTreeMap<String, f64>>;
 
 /// A machine with planted causes.
 pub struct Press {
@@ -33,7 +33,7 @@ pub struct Press {
     /// Duty cycle.
     pub cycle: DutyCycle,
     /// Planted effects.
-    pub planted: Values,
+    pub planted: EffectValues,
     /// Whether planted effects follow another law than the catalogue's, where there is one.
     pub other_law: bool,
     /// A cause without a name in the catalogue.

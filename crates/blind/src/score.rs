@@ -38,13 +38,15 @@ struct Shrink {
 #[derive(Debug, Clone, Copy, Deserialize)]
 struct Leak {
     nominal_m2: Option<f64>,
-    retuned_m2: Option<f64>,
+    #[serde(rename = "retuned_m2")]
+    calibrated_m2: Option<f64>,
     chosen_m2: Option<f64>,
 }
 
 #[derive(Debug, Clone, Deserialize)]
 struct Gap {
-    retuned: BTreeMap<String, f64>,
+    #[serde(rename = "retuned")]
+    calibrated: BTreeMap<String, f64>,
     chosen: BTreeMap<String, f64>,
 }
 
@@ -66,7 +68,7 @@ pub struct Answered {
 pub struct Scores {
     /// Cases.
     pub cases: usize,
-    /// Single effects whose signature is above the floor after retuning, and all.
+    /// Single effects whose signature is above the floor after calibration, and all.
     pub visible: [usize; 2],
     /// Share of the visible single effects that are ranked first, within the stated classes.
     pub top_1: f64,
@@ -90,7 +92,7 @@ pub struct Scores {
     pub shrink: f64,
     /// Largest difference of a claimed gap from the emitted plant's, over the signal's range.
     pub claimed_gap_error: f64,
-    /// Mean leak error of visible single effects, L/min at 7 MPa: nominal, retuned, chosen.
+    /// Mean leak error of visible single effects, L/min at 7 MPa: nominal, calibrated, chosen.
     pub leak_error_lpm: [f64; 3],
     /// Seconds of a diagnosis: median and largest.
     pub seconds: [f64; 2],
@@ -155,7 +157,7 @@ pub fn score(answers: &[Answered]) -> Scores {
         claimed_gap_error: answers.iter().filter_map(Answered::claim_error).fold(0.0, f64::max),
         leak_error_lpm: [
             leak_error(&visible, |leak| leak.nominal_m2),
-            leak_error(&visible, |leak| leak.retuned_m2),
+            leak_error(&visible, |leak| leak.calibrated_m2),
             leak_error(&visible, |leak| leak.chosen_m2),
         ],
         seconds: [
@@ -228,13 +230,13 @@ fn calibration(answers: &[Answered]) -> [f64; 3] {
 }
 
 impl Answer {
-    /// Whether something is left above the floor after retuning.
+    /// Whether something is left above the floor after calibration.
     fn visible(&self) -> bool {
         self.gap
-            .retuned
+            .calibrated
             .iter()
             .any(|(signal, gap)| *gap > FLOORS * self.floor.get(signal).copied().unwrap_or(0.0))
-            || self.gap.retuned.is_empty()
+            || self.gap.calibrated.is_empty()
     }
 
     /// Whether something beyond parameters was called.

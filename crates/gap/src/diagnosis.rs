@@ -4,23 +4,23 @@ use std::collections::BTreeMap;
 
 use seepd_sim::effects::EffectInfo;
 
-use crate::axis::Axis;
-use crate::fit::{Fit, Problem, Target, retunable};
+use crate::fit::{Fit, Problem, Target, free_parameters};
 use crate::places::{phase_spans, places};
 use crate::rank::{Ranking, rank};
 use crate::record::{BINS, ENOUGH_CYCLES, Record};
 use crate::report::{
-    Curves, CycleCounts, Diagnosis, EffectFinding, Gaps, Leaks, Place, Retuned, Shrink, Verdict,
+    CalibratedValue, Curves, CycleCounts, Diagnosis, Gaps, Leaks, Place, RankedEffect, Shrink, Verdict,
 };
-use crate::screen::{Beyond, Candidate, screen};
-use crate::search::{Explanation, Found, search};
+use crate::screen::{CalibrationProjector, Candidate, screen};
+use crate::search::{Explanation, SearchResult, search};
 use crate::shrink::{HeldOut, attributed};
-use crate::simulate::views;
+use crate::simulate::binned_signals;
+use crate::simulated_axis::SimulatedAxis;
 
 /// What a diagnosis is asked for.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DiagnosisSettings {
-    /// Effects that are fitted in full, beside the retuned and beside the nominal machine.
+    /// Effects that are fitted in full, beside the calibrated and beside the nominal machine.
     pub fitted: usize,
     /// Iterations of a fit.
     pub iterations: usize,
@@ -48,7 +48,7 @@ const ALIKE: f64 = 0.5;
 const VISIBLE: f64 = 2.0;
 
 /// Diagnoses a record against a machine; `tell` hears of each finished step. With the diagnosis comes the machine as it is.
-pub fn diagnose<A: Axis>(
+pub fn diagnose<A: SimulatedAxis>(
     record: &Record,
     spec: &A,
     settings: &DiagnosisSettings,
@@ -58,23 +58,23 @@ pub fn diagnose<A: Axis>(
     let problem = Problem::new(record, &fitted);
     let nominal = Fit::of_wear(&problem, spec, settings.iterations);
     tell(1);
-    let untouched = Fit::at(&problem, &nominal.spec, retunable(spec));
-    let (retuned, far) = rayon::join(
+    let untouched = Fit::at(&problem, &nominal.spec, free_parameters(spec));
+    let (calibrated, far) = rayon::join(
         || untouched.clone().from_afar(&problem, 2 * settings.iterations).renewed(&problem),
         || screen(&problem, &untouched, &settings.without),
     );
     tell(2);
-    let found = search(&problem, &untouched, retuned, &far, settings);
+    let found = search(&problem, &untouched, calibrated, &far, settings);
     tell(3);
-    let weighed = Weighed::new(&problem, found);
-    let (verdict, reason) = verdict(&problem, record, &nominal, &weighed);
+    let ranked = RankedExplanations::new(&problem, found);
+    let (verdict, reason) = verdict(&problem, record, &nominal, &ranked);
     let held_out = HeldOut { record, cycles: &held_out };
-    let told = Telling {
+    let told = DiagnosisInputs {
         record,
         spec,
         problem: &problem,
         nominal: &nominal,
-        weighed: &weighed,
+        ranked: &ranked,
         held_out: &held_out,
     };
     let diagnosis = told.diagnosis(settings, verdict, reason, fitted.len());
@@ -84,7 +84,7 @@ pub fn diagnose<A: Axis>(
 }
 
 /// Gap of a machine in which wear alone is fitted, by signal, on the cycles that a diagnosis holds out.
-pub fn nominal_gap<A: Axis>(record: &Record, spec: &A) -> BTreeMap<&'static str, f64> {
+pub fn nominal_gap<A: SimulatedAxis>(record: &Record, spec: &A) -> BTreeMap<&'static str, f64> {
     let (fitted, held_out) = split(record);
     let problem = Problem::new(record, &fitted);
     let nominal = Fit::of_wear(&problem, spec, DiagnosisSettings::default().iterations);
@@ -104,7 +104,7 @@ pub fn cannot_tell(reason: String) -> Diagnosis {
         cycles: CycleCounts { used: 0, fit: 0, held_out: 0 },
         signals: Vec::new(),
         floor: BTreeMap::new(),
-        gap: Gaps { nominal: BTreeMap::new(), retuned: BTreeMap::new(), chosen: BTreeMap::new() },
+        gap: Gaps { nominal: BTreeMap::new(), calibrated: BTreeMap::new(), chosen: BTreeMap::new() },
         places: Vec::new(),
         verdict: Verdict::CannotTell,
         reason: Some(reason),
@@ -113,44 +113,49 @@ pub fn cannot_tell(reason: String) -> Diagnosis {
         unknown_probability: 0.0,
         no_effect_probability: 1.0,
         chosen: Vec::new(),
-        shrink: Shrink { of_removable: 0.0, of_total: 0.0, retune_only: 0.0, by_effect: BTreeMap::new() },
-        retuned: BTreeMap::new(),
-        leak: Leaks { nominal_m2: f64::NAN, retuned_m2: f64::NAN, chosen_m2: f64::NAN },
+        shrink: Shrink {
+            of_removable: 0.0,
+            of_total: 0.0,
+            calibration_only: 0.0,
+            by_effect: BTreeMap::new(),
+        },
+        calibrated: BTreeMap::new(),
+        leak: Leaks { nominal_m2: f64::NAN, calibrated_m2: f64::NAN, chosen_m2: f64::NAN },
         distinguish: Vec::new(),
         notes: Vec::new(),
         curves: Curves::default(),
     }
 }
 
-/// What a search found, weighed.
-struct Weighed<A> {
-    retuned: Fit<A>,
+/// What a search found, ranked.
+struct RankedExplanations<A> {
+    calibrated: Fit<A>,
     candidates: Vec<Candidate>,
     /// The one that is named, then the others, most likely first.
     explanations: Vec<(Explanation<A>, f64)>,
     unknown: f64,
     none: f64,
-    beyond: Beyond,
+    projector: CalibrationProjector,
 }
 
-impl<A: Axis> Weighed<A> {
-    fn new(problem: &Problem<'_>, found: Found<A>) -> Self {
+impl<A: SimulatedAxis> RankedExplanations<A> {
+    fn new(problem: &Problem<'_>, found: SearchResult<A>) -> Self {
         let Ranking { none, unknown, explanations: probabilities } =
-            rank(problem, &found.retuned, &found.explanations);
+            rank(problem, &found.calibrated, &found.explanations);
         let mut explanations: Vec<(Explanation<A>, f64)> =
             found.explanations.into_iter().zip(probabilities).collect();
         explanations.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let beyond = Beyond::new(&found.retuned);
-        let mut weighed = Weighed {
-            retuned: found.retuned,
+        let projector = CalibrationProjector::new(&found.calibrated);
+        let mut ranked = RankedExplanations {
+            calibrated: found.calibrated,
             candidates: found.candidates,
             explanations,
             unknown,
             none,
-            beyond,
+            projector,
         };
-        weighed.prefer_the_common();
-        weighed
+        ranked.prefer_the_common();
+        ranked
     }
 
     /// Each effect's probability, most likely first: a machine with several shares its own among them, half as much to each later found.
@@ -184,11 +189,12 @@ impl<A: Axis> Weighed<A> {
         };
         let base = match self.machines().find(of_rest) {
             Some(rest) => &rest.fit,
-            None if own.effects.len() == 1 => &self.retuned,
+            None if own.effects.len() == 1 => &self.calibrated,
             None => return Vec::new(),
         };
-        let signature =
-            |explanation: &Explanation<A>| self.beyond.project(&(&explanation.fit.residual - &base.residual));
+        let signature = |explanation: &Explanation<A>| {
+            self.projector.project(&(&explanation.fit.residual - &base.residual))
+        };
         let own_signature = signature(own);
         // Machines that differ in this one effect.
         let instead = |other: &Explanation<A>| {
@@ -240,30 +246,30 @@ impl<A: Axis> Weighed<A> {
     }
 }
 
-fn verdict<A: Axis>(
+fn verdict<A: SimulatedAxis>(
     problem: &Problem<'_>,
     record: &Record,
     nominal: &Fit<A>,
-    weighed: &Weighed<A>,
+    ranked: &RankedExplanations<A>,
 ) -> (Verdict, Option<String>) {
     let largest = |fit: &Fit<A>| problem.by_signal(&fit.residual).into_iter().fold(0.0, f64::max);
     let few = (record.cycles.len() < ENOUGH_CYCLES)
         .then(|| format!("only {} cycles; {ENOUGH_CYCLES} or more are wanted", record.cycles.len()));
-    let class = weighed.class();
-    if weighed.none >= weighed.unknown && weighed.none >= class {
+    let class = ranked.class();
+    if ranked.none >= ranked.unknown && ranked.none >= class {
         let verdict = if largest(nominal) <= NO_GAP { Verdict::NoGap } else { Verdict::Parameters };
         return (verdict, few);
     }
-    if weighed.unknown >= class {
+    if ranked.unknown >= class {
         let rest = "a gap is left that no effect of the catalogue explains".to_owned();
         return (Verdict::Unknown, Some(rest));
     }
     // Effects that look the same in this log share their probability, and so do machines that have the first one in common.
-    let first = weighed.effects().first().map_or(0.0, |(_, probability)| *probability);
+    let first = ranked.effects().first().map_or(0.0, |(_, probability)| *probability);
     if class.max(first) >= CHOSEN {
         return (Verdict::Effect, few);
     }
-    let names: Vec<&str> = weighed
+    let names: Vec<&str> = ranked
         .effects()
         .iter()
         .filter(|(_, probability)| *probability > 0.1)
@@ -273,22 +279,22 @@ fn verdict<A: Axis>(
 }
 
 /// All that a diagnosis is told from.
-struct Telling<'a, A> {
+struct DiagnosisInputs<'a, A> {
     record: &'a Record,
     spec: &'a A,
     problem: &'a Problem<'a>,
     nominal: &'a Fit<A>,
-    weighed: &'a Weighed<A>,
+    ranked: &'a RankedExplanations<A>,
     held_out: &'a HeldOut<'a>,
 }
 
-impl<A: Axis> Telling<'_, A> {
+impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
     /// The machine as diagnosed.
     fn chosen(&self, verdict: Verdict) -> &Fit<A> {
-        match (verdict, self.weighed.explanations.first()) {
+        match (verdict, self.ranked.explanations.first()) {
             (Verdict::Effect, Some((best, _))) => &best.fit,
             (Verdict::NoGap, _) => self.nominal,
-            _ => &self.weighed.retuned,
+            _ => &self.ranked.calibrated,
         }
     }
 
@@ -299,16 +305,16 @@ impl<A: Axis> Telling<'_, A> {
         reason: Option<String>,
         fitted: usize,
     ) -> Diagnosis {
-        let (record, weighed) = (self.record, self.weighed);
-        let (retuned, chosen) = (&weighed.retuned, self.chosen(verdict));
-        let effects = weighed.effects();
-        let mut machines = vec![self.nominal.spec.clone(), retuned.spec.clone(), chosen.spec.clone()];
+        let (record, ranked) = (self.record, self.ranked);
+        let (calibrated, chosen) = (&ranked.calibrated, self.chosen(verdict));
+        let effects = ranked.effects();
+        let mut machines = vec![self.nominal.spec.clone(), calibrated.spec.clone(), chosen.spec.clone()];
         let best: Vec<&Explanation<A>> =
-            effects.iter().filter_map(|(effect, _)| weighed.best_with(effect.key)).collect();
+            effects.iter().filter_map(|(effect, _)| ranked.best_with(effect.key)).collect();
         machines.extend(best.iter().map(|explanation| explanation.fit.spec.clone()));
         let gaps = self.held_out.gaps(&machines);
         let shrink = |now: &[f64], to_floor: bool| self.held_out.shrink(&gaps[0], now, to_floor);
-        let findings: Vec<EffectFinding> = effects
+        let findings: Vec<RankedEffect> = effects
             .iter()
             .zip(&best)
             .zip(&gaps[3..])
@@ -319,10 +325,10 @@ impl<A: Axis> Telling<'_, A> {
         let told = |values: &[f64]| -> BTreeMap<&'static str, f64> {
             record.signals.iter().map(|signal| signal.name()).zip(values.iter().copied()).collect()
         };
-        let effects_chosen = match weighed.explanations.first() {
+        let effects_chosen = match ranked.explanations.first() {
             Some((best, _)) if verdict == Verdict::Effect => {
                 let parts =
-                    attributed(self.problem, self.held_out, &gaps[0], retuned, best, settings.iterations);
+                    attributed(self.problem, self.held_out, &gaps[0], calibrated, best, settings.iterations);
                 best.effects.iter().map(|effect| effect.key).zip(parts).collect()
             }
             _ => Vec::new(),
@@ -336,27 +342,27 @@ impl<A: Axis> Telling<'_, A> {
             },
             signals: record.signals.iter().map(|signal| signal.name()).collect(),
             floor: told(&record.floor),
-            gap: Gaps { nominal: told(&gaps[0]), retuned: told(&gaps[1]), chosen: told(&gaps[2]) },
+            gap: Gaps { nominal: told(&gaps[0]), calibrated: told(&gaps[1]), chosen: told(&gaps[2]) },
             places: self.places(),
             verdict,
             reason,
             seconds: 0.0,
-            unknown_probability: weighed.unknown,
-            no_effect_probability: weighed.none,
+            unknown_probability: ranked.unknown,
+            no_effect_probability: ranked.none,
             chosen: effects_chosen.iter().map(|(key, _)| *key).collect(),
             shrink: Shrink {
                 of_removable: shrink(&gaps[2], true),
                 of_total: shrink(&gaps[2], false),
-                retune_only: shrink(&gaps[1], true),
+                calibration_only: shrink(&gaps[1], true),
                 by_effect: effects_chosen.into_iter().collect(),
             },
-            retuned: self.retuned_parameters(),
+            calibrated: self.calibrated_values(),
             leak: Leaks {
                 nominal_m2: leak(&self.nominal.spec),
-                retuned_m2: leak(&retuned.spec),
+                calibrated_m2: leak(&calibrated.spec),
                 chosen_m2: leak(&chosen.spec),
             },
-            distinguish: distinguish::<A>(record, &findings, &weighed.candidates, verdict),
+            distinguish: distinguish::<A>(record, &findings, &ranked.candidates, verdict),
             effects: findings,
             notes: record.notes.clone(),
             curves: self.curves(&machines[..3]),
@@ -369,7 +375,7 @@ impl<A: Axis> Telling<'_, A> {
         probability: f64,
         explanation: &Explanation<A>,
         shrink: f64,
-    ) -> EffectFinding {
+    ) -> RankedEffect {
         type Estimate = (f64, [f64; 2]);
         let fit = &explanation.fit;
         let own: Vec<(&'static str, Estimate)> = fit
@@ -383,26 +389,26 @@ impl<A: Axis> Telling<'_, A> {
                 _ => None,
             })
             .collect();
-        EffectFinding {
+        RankedEffect {
             effect: effect.key,
             law: effect.law,
             probability,
             parameters: own.iter().map(|(name, estimate)| (*name, estimate.0)).collect(),
             interval95: own.iter().map(|(name, estimate)| (*name, estimate.1)).collect(),
             shrink,
-            equivalent: self.weighed.equivalents(effect.key),
+            equivalent: self.ranked.equivalents(effect.key),
         }
     }
 
-    fn retuned_parameters(&self) -> BTreeMap<&'static str, Retuned> {
-        let retuned = &self.weighed.retuned;
-        let wear = self.spec.wear().map(|tunable| tunable.key);
+    fn calibrated_values(&self) -> BTreeMap<&'static str, CalibratedValue> {
+        let calibrated = &self.ranked.calibrated;
+        let wear = self.spec.wear().map(|parameter| parameter.key);
         let mut told = BTreeMap::new();
-        for (parameter, (fitted, interval95)) in retuned.free.iter().zip(retuned.estimates()) {
-            let Target::Plant(tunable) = parameter.target else { continue };
-            if Some(tunable.key) != wear {
-                let nominal = self.spec.parameter(tunable.key);
-                told.insert(tunable.symbol, Retuned { nominal, fitted, interval95 });
+        for (parameter, (fitted, interval95)) in calibrated.free.iter().zip(calibrated.estimates()) {
+            let Target::Plant(parameter) = parameter.target else { continue };
+            if Some(parameter.key) != wear {
+                let nominal = self.spec.parameter(parameter.key);
+                told.insert(parameter.symbol, CalibratedValue { nominal, fitted, interval95 });
             }
         }
         told
@@ -412,23 +418,24 @@ impl<A: Axis> Telling<'_, A> {
         let cycles: Vec<usize> = split(self.record).0;
         let recorded = self.record.mean(&cycles);
         let drive = &self.record.cycles[cycles[0]].drive;
-        let retuned = &self.weighed.retuned.spec;
-        let simulated = views(std::slice::from_ref(retuned), drive, &self.record.signals).swap_remove(0);
-        places(self.record, retuned, &recorded, &simulated)
+        let calibrated = &self.ranked.calibrated.spec;
+        let simulated =
+            binned_signals(std::slice::from_ref(calibrated), drive, &self.record.signals).swap_remove(0);
+        places(self.record, calibrated, &recorded, &simulated)
     }
 
-    /// What the held-out cycles show beside the three machines: nominal, retuned, chosen.
+    /// What the held-out cycles show beside the three machines: nominal, calibrated, chosen.
     fn curves(&self, machines: &[A]) -> Curves {
         let cycles = self.held_out.cycles;
         let drive = &self.record.cycles[cycles[0]].drive;
-        let mut shown = views(machines, drive, &self.record.signals).into_iter();
+        let mut shown = binned_signals(machines, drive, &self.record.signals).into_iter();
         let mut next = || shown.next().unwrap_or_default();
         let width_s = self.spec.duty_cycle().period_s / BINS as f64;
         Curves {
             t_s: (0..BINS).map(|bin| (bin as f64 + 0.5) * width_s).collect(),
             recorded: self.record.mean(cycles),
             nominal: next(),
-            retuned: next(),
+            calibrated: next(),
             chosen: next(),
             phases: phase_spans(self.spec),
         }
@@ -443,14 +450,14 @@ fn to_front<T>(list: &mut [T], index: usize) {
 }
 
 /// What wear has come to; NaN on an axis without.
-fn leak<A: Axis>(spec: &A) -> f64 {
-    spec.wear().map_or(f64::NAN, |tunable| spec.parameter(tunable.key))
+fn leak<A: SimulatedAxis>(spec: &A) -> f64 {
+    spec.wear().map_or(f64::NAN, |parameter| spec.parameter(parameter.key))
 }
 
 /// What would tell apart what this log cannot.
-fn distinguish<A: Axis>(
+fn distinguish<A: SimulatedAxis>(
     record: &Record,
-    effects: &[EffectFinding],
+    effects: &[RankedEffect],
     candidates: &[Candidate],
     verdict: Verdict,
 ) -> Vec<String> {

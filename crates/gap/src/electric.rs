@@ -7,14 +7,14 @@ use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::{EffectInfo, Parameter};
 use seepd_sim::electric::{CATALOGUE, ElectricAxis};
 
-use crate::axis::{Axis, Imbalances, Scale, Tunable, Values};
-use crate::record::{BINS, Cycle, binned};
-use crate::simulate::{View, bins_of};
+use crate::record::{BINS, RecordedCycle, binned};
+use crate::simulate::{BinnedSignals, bins_of};
+use crate::simulated_axis::{CalibratedParameter, EffectValues, Imbalances, Scale, SimulatedAxis};
 
 /// The drive's force for which the catalogue states its ranges, N.
 const REFERENCE_FORCE_N: f64 = 1e3;
 
-impl Axis for ElectricAxis {
+impl SimulatedAxis for ElectricAxis {
     fn catalogue() -> Vec<&'static EffectInfo> {
         CATALOGUE.iter().collect()
     }
@@ -23,10 +23,10 @@ impl Axis for ElectricAxis {
         &[Signal::Command, Signal::Position]
     }
 
-    fn tunables(&self) -> Vec<Tunable> {
+    fn calibrated_parameters(&self) -> Vec<CalibratedParameter> {
         let by_factor = |key, symbol| {
             let nominal = self.parameter(key);
-            (nominal > 0.0).then_some(Tunable {
+            (nominal > 0.0).then_some(CalibratedParameter {
                 key,
                 symbol,
                 bounds: (nominal / 4.0, nominal * 4.0),
@@ -40,7 +40,7 @@ impl Axis for ElectricAxis {
             .collect()
     }
 
-    fn wear(&self) -> Option<Tunable> {
+    fn wear(&self) -> Option<CalibratedParameter> {
         None
     }
 
@@ -60,11 +60,11 @@ impl Axis for ElectricAxis {
         }
     }
 
-    fn effects(&self) -> &Values {
+    fn effects(&self) -> &EffectValues {
         &self.effects
     }
 
-    fn effects_mut(&mut self) -> &mut Values {
+    fn effects_mut(&mut self) -> &mut EffectValues {
         &mut self.effects
     }
 
@@ -106,8 +106,13 @@ impl Axis for ElectricAxis {
             .collect()
     }
 
-    fn run(machines: &[Self], drive: &[DriveSample], warm_up: usize, signals: &[Signal]) -> Vec<View> {
-        let view = |machine: &Self| -> View {
+    fn run(
+        machines: &[Self],
+        drive: &[DriveSample],
+        warm_up: usize,
+        signals: &[Signal],
+    ) -> Vec<BinnedSignals> {
+        let view = |machine: &Self| -> BinnedSignals {
             let mut values = vec![Vec::with_capacity(drive.len() - warm_up); signals.len()];
             machine.follow(drive, |tick, record| {
                 if tick < warm_up {
@@ -126,7 +131,7 @@ impl Axis for ElectricAxis {
     }
 
     /// The balance of forces, over the drive's full force.
-    fn imbalances(&self, signals: &[Signal], view: &View) -> Imbalances {
+    fn imbalances(&self, signals: &[Signal], view: &BinnedSignals) -> Imbalances {
         let bins = |signal: Signal| bins_of(signals, signal, view);
         let (Some(u), Some(x)) = (bins(Signal::Command), bins(Signal::Position)) else { return Vec::new() };
         let dt = self.cycle.period_s / BINS as f64;
@@ -141,7 +146,7 @@ impl Axis for ElectricAxis {
     }
 
     /// Force and acceleration have the same sign.
-    fn contradiction(&self, signals: &[Signal], cycle: &Cycle) -> Option<String> {
+    fn contradiction(&self, signals: &[Signal], cycle: &RecordedCycle) -> Option<String> {
         let imbalance = |sign: f64| -> f64 {
             let mut turned = cycle.bins.clone();
             turned.iter_mut().take(1).flatten().for_each(|u| *u *= sign);

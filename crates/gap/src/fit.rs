@@ -8,10 +8,10 @@ use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::{EffectInfo, Parameter};
 use seepd_sim::real::LANES;
 
-use crate::axis::{Axis, Scale, Tunable};
 use crate::record::{BINS, Record};
 use crate::screen::spans_decades;
-use crate::simulate::{View, views};
+use crate::simulate::{BinnedSignals, binned_signals};
+use crate::simulated_axis::{CalibratedParameter, Scale, SimulatedAxis};
 
 /// Independent values that a signal is taken to have in a cycle: model errors are alike over a twentieth of a cycle or so, and each bin
 /// counted by itself would be certain of anything.
@@ -22,7 +22,7 @@ pub const MODEL_ERROR: f64 = 0.002;
 #[derive(Debug, Clone, Copy)]
 pub enum Target {
     /// A parameter of the plant.
-    Plant(Tunable),
+    Plant(CalibratedParameter),
     /// A parameter of an effect.
     Effect(&'static EffectInfo, usize),
 }
@@ -39,14 +39,14 @@ pub struct Free {
     prior: Option<(f64, f64)>,
 }
 
-/// What wear changes, and every plant parameter that may be retuned.
-pub fn retunable<A: Axis>(spec: &A) -> Vec<Free> {
-    let tunables = spec.wear().into_iter().chain(spec.tunables());
-    tunables.map(|tunable| Free::of_plant(spec, tunable)).collect()
+/// What wear changes, and every plant parameter that may be calibrated.
+pub fn free_parameters<A: SimulatedAxis>(spec: &A) -> Vec<Free> {
+    let parameters = spec.wear().into_iter().chain(spec.calibrated_parameters());
+    parameters.map(|parameter| Free::of_plant(spec, parameter)).collect()
 }
 
 /// An effect's parameters.
-pub fn of_effect<A: Axis>(effect: &'static EffectInfo, spec: &A) -> Vec<Free> {
+pub fn of_effect<A: SimulatedAxis>(effect: &'static EffectInfo, spec: &A) -> Vec<Free> {
     let of = |(index, parameter): (usize, &Parameter)| {
         let (low, high) = spec.range(effect, parameter);
         let scale =
@@ -66,7 +66,7 @@ fn coordinate(scale: Scale, value: f64) -> f64 {
 }
 
 /// An effect's values on a machine, neutral where none is given.
-pub(crate) fn values_of<A: Axis>(effect: &EffectInfo, spec: &A) -> Vec<f64> {
+pub(crate) fn values_of<A: SimulatedAxis>(effect: &EffectInfo, spec: &A) -> Vec<f64> {
     let given = spec.effects().get(effect.key);
     effect
         .parameters
@@ -76,16 +76,16 @@ pub(crate) fn values_of<A: Axis>(effect: &EffectInfo, spec: &A) -> Vec<f64> {
 }
 
 impl Free {
-    fn of_plant<A: Axis>(spec: &A, tunable: Tunable) -> Self {
-        let at = |value| coordinate(tunable.scale, value);
-        let (low, high) = tunable.bounds;
-        let centre = at(spec.parameter(tunable.key));
+    fn of_plant<A: SimulatedAxis>(spec: &A, parameter: CalibratedParameter) -> Self {
+        let at = |value| coordinate(parameter.scale, value);
+        let (low, high) = parameter.bounds;
+        let centre = at(spec.parameter(parameter.key));
         Free {
-            target: Target::Plant(tunable),
-            scale: tunable.scale,
+            target: Target::Plant(parameter),
+            scale: parameter.scale,
             low: at(low),
             high: at(high),
-            prior: tunable.sigma.map(|sigma| (centre, sigma)),
+            prior: parameter.sigma.map(|sigma| (centre, sigma)),
         }
     }
 
@@ -95,9 +95,9 @@ impl Free {
     }
 
     /// The coordinate of a machine's value.
-    pub fn read<A: Axis>(&self, spec: &A) -> f64 {
+    pub fn read<A: SimulatedAxis>(&self, spec: &A) -> f64 {
         let value = match self.target {
-            Target::Plant(tunable) => spec.parameter(tunable.key),
+            Target::Plant(parameter) => spec.parameter(parameter.key),
             Target::Effect(effect, index) => values_of(effect, spec)[index],
         };
         coordinate(self.scale, value).clamp(self.low, self.high)
@@ -111,10 +111,10 @@ impl Free {
         }
     }
 
-    fn write<A: Axis>(&self, coordinate: f64, spec: &mut A) {
+    fn write<A: SimulatedAxis>(&self, coordinate: f64, spec: &mut A) {
         let value = self.value(coordinate);
         match self.target {
-            Target::Plant(tunable) => spec.set_parameter(tunable.key, value),
+            Target::Plant(parameter) => spec.set_parameter(parameter.key, value),
             Target::Effect(effect, index) => {
                 let name = effect.parameters[index].name;
                 spec.effects_mut().entry(effect.key.into()).or_default().insert(name.into(), value);
@@ -143,7 +143,7 @@ pub struct Problem<'r> {
     /// The record.
     pub record: &'r Record,
     drives: Vec<Vec<DriveSample>>,
-    shown: Vec<View>,
+    shown: Vec<BinnedSignals>,
     /// One over the expected error of each signal, with the square root of the share that a bin counts.
     weights: Vec<f64>,
     /// Mean square over expected error that is left of each signal when only what differs from cycle to cycle is left.
@@ -188,11 +188,11 @@ impl<'r> Problem<'r> {
     }
 
     /// Weighted differences of simulation and record, one row a machine: by drive, signal, bin.
-    pub fn residuals<A: Axis>(&self, machines: &[A]) -> Vec<DVector<f64>> {
+    pub fn residuals<A: SimulatedAxis>(&self, machines: &[A]) -> Vec<DVector<f64>> {
         let length = self.drives.len() * self.record.signals.len() * BINS;
         let mut rows = vec![Vec::with_capacity(length); machines.len()];
         for (drive, shown) in self.drives.iter().zip(&self.shown) {
-            for (row, view) in rows.iter_mut().zip(views(machines, drive, &self.record.signals)) {
+            for (row, view) in rows.iter_mut().zip(binned_signals(machines, drive, &self.record.signals)) {
                 for ((simulated, recorded), weight) in view.iter().zip(shown).zip(&self.weights) {
                     row.extend(simulated.iter().zip(recorded).map(|(a, b)| {
                         let difference = (a - b) * weight;
@@ -268,14 +268,14 @@ pub struct Fit<A> {
 const LEAST_GAIN: (f64, f64) = (0.02, 1e-3);
 /// Dampings that are tried side by side, times the present one: one batch of lanes.
 const DAMPINGS: [f64; LANES] = [0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0];
-/// Values of wear from which the best is the start: two batches of lanes, each value about twice the one before.
+/// EffectValues of wear from which the best is the start: two batches of lanes, each value about twice the one before.
 const WEAR_VALUES: usize = 2 * LANES;
 /// The smallest of them over the largest.
 const SMALLEST_WEAR: f64 = 1e-4;
 /// Steps after which derivatives are simulated anew.
 const OLD_AGE: usize = 3;
 
-impl<A: Axis> Fit<A> {
+impl<A: SimulatedAxis> Fit<A> {
     /// A machine as it is, with the derivatives there.
     pub fn at(problem: &Problem<'_>, spec: &A, free: Vec<Free>) -> Self {
         Fit::beside(problem, spec, free, DMatrix::zeros(0, 0), 0)
@@ -472,19 +472,25 @@ fn solved(matrix: &DMatrix<f64>, gradient: &DVector<f64>, held: &[Option<f64>]) 
 }
 
 /// A machine's coordinates.
-fn coordinates<A: Axis>(spec: &A, free: &[Free]) -> DVector<f64> {
+fn coordinates<A: SimulatedAxis>(spec: &A, free: &[Free]) -> DVector<f64> {
     DVector::from_iterator(free.len(), free.iter().map(|parameter| parameter.read(spec)))
 }
 
 /// A machine at these coordinates.
-fn placed<A: Axis>(spec: &A, free: &[Free], at: &DVector<f64>) -> A {
+fn placed<A: SimulatedAxis>(spec: &A, free: &[Free], at: &DVector<f64>) -> A {
     let mut spec = spec.clone();
     free.iter().zip(at.iter()).for_each(|(parameter, at)| parameter.write(*at, &mut spec));
     spec
 }
 
 /// Machines that are a small step away, one for each of some parameters.
-fn moved<A: Axis>(spec: &A, free: &[Free], at: &DVector<f64>, columns: &[usize], relaxed: f64) -> Vec<A> {
+fn moved<A: SimulatedAxis>(
+    spec: &A,
+    free: &[Free],
+    at: &DVector<f64>,
+    columns: &[usize],
+    relaxed: f64,
+) -> Vec<A> {
     let along = |column: &usize| {
         let mut there = at.clone();
         there[*column] += free[*column].step(at[*column], relaxed);

@@ -2,10 +2,9 @@
 //! effect is added.
 //!
 //! The way: [`record`] aligns a log with the duty cycle and cuts it into cycles; [`simulate`] runs machines along the recorded
-//! drive and bins what they show; [`fit`] retunes the plant's own parameters and fits effects; [`screen`] picks the effects that are
+//! drive and bins what they show; [`fit`] calibrates the plant's own parameters and fits effects; [`screen`] picks the effects that are
 //! worth fitting; [`rank`] weighs effects, "no effect" and "none of these"; [`places`] tells where the gap is; [`diagnosis`] puts it together.
 
-pub mod axis;
 pub mod diagnosis;
 pub mod electric;
 pub mod fit;
@@ -18,8 +17,9 @@ pub mod screen;
 pub mod search;
 pub mod shrink;
 pub mod simulate;
+pub mod simulated_axis;
 
-pub use axis::Axis;
 pub use diagnosis::{DiagnosisSettings, cannot_tell, diagnose, nominal_gap};
 pub use record::{Log, Record, RecordError};
 pub use report::Diagnosis;
+pub use simulated_axis::SimulatedAxis;

@@ -3,10 +3,10 @@
 //! Each balance is evaluated on the recorded signals and on the simulated ones with the same coefficients and the same differences over
 //! bins; what differs is imbalance that the machine has and the simulation has not.
 
-use crate::axis::Axis;
 use crate::record::{BINS, Record};
 use crate::report::Place;
-use crate::simulate::View;
+use crate::simulate::BinnedSignals;
+use crate::simulated_axis::SimulatedAxis;
 
 /// Phases in reports.
 const PHASES: [&str; 7] = ["extend", "press", "hold", "retract", "reversal", "near_zero", "near_end"];
@@ -18,7 +18,7 @@ const NEAR_END: f64 = 0.06;
 const TOLD: usize = 12;
 
 /// The phase of each bin.
-fn phases<A: Axis>(spec: &A) -> Vec<usize> {
+fn phases<A: SimulatedAxis>(spec: &A) -> Vec<usize> {
     let cycle = spec.duty_cycle();
     let at = |bin: f64| (bin + 0.5) / BINS as f64 * cycle.period_s;
     let speed = |bin: usize| {
@@ -55,7 +55,7 @@ fn phases<A: Axis>(spec: &A) -> Vec<usize> {
 }
 
 /// The phases of the cycle in time order: name, start and end, s.
-pub(crate) fn phase_spans<A: Axis>(spec: &A) -> Vec<(&'static str, f64, f64)> {
+pub(crate) fn phase_spans<A: SimulatedAxis>(spec: &A) -> Vec<(&'static str, f64, f64)> {
     let at = |bin: usize| bin as f64 / BINS as f64 * spec.duty_cycle().period_s;
     let mut spans: Vec<(&'static str, f64, f64)> = Vec::new();
     for (bin, phase) in phases(spec).into_iter().enumerate() {
@@ -68,12 +68,17 @@ pub(crate) fn phase_spans<A: Axis>(spec: &A) -> Vec<(&'static str, f64, f64)> {
 }
 
 /// Where the recorded machine's balances differ from the simulated one's.
-pub fn places<A: Axis>(record: &Record, retuned: &A, recorded: &View, simulated: &View) -> Vec<Place> {
-    let phase = phases(retuned);
+pub fn places<A: SimulatedAxis>(
+    record: &Record,
+    calibrated: &A,
+    recorded: &BinnedSignals,
+    simulated: &BinnedSignals,
+) -> Vec<Place> {
+    let phase = phases(calibrated);
     let difference =
         |signal: usize, bin: usize| (recorded[signal][bin] - simulated[signal][bin]) / record.range[signal];
     let mut found: Vec<Place> = Vec::new();
-    let of = |view: &View| retuned.imbalances(&record.signals, view);
+    let of = |view: &BinnedSignals| calibrated.imbalances(&record.signals, view);
     let pairs = of(recorded).into_iter().zip(of(simulated));
     for ((equation, a), (_, b)) in pairs {
         for (number, name) in PHASES.iter().enumerate() {

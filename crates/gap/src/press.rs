@@ -9,11 +9,11 @@ use seepd_sim::effects::{self, EffectInfo, Parameter};
 use seepd_sim::real::{LANES, Lanes};
 use seepd_sim::{DutyCycle, MachineSpec, PlantParameters};
 
-use crate::axis::{Axis, Imbalances, Scale, Tunable, Values};
-use crate::record::{BINS, Cycle, bin_of, correlation};
-use crate::simulate::{View, bins_of};
+use crate::record::{BINS, RecordedCycle, bin_of, correlation};
+use crate::simulate::{BinnedSignals, bins_of};
+use crate::simulated_axis::{CalibratedParameter, EffectValues, Imbalances, Scale, SimulatedAxis};
 
-/// What retuning may change: bounds as factors, and a prior as a standard deviation of the logarithm: 15 % where data sheets are good, a
+/// What calibration may change: bounds as factors, and a prior as a standard deviation of the logarithm: 15 % where data sheets are good, a
 /// factor of 2 where they are not.
 const BY_FACTOR: &[(&str, f64, f64, f64)] = &[
     ("valve_m3_per_s_sqrt_pa", 0.5, 2.0, 0.15),
@@ -27,7 +27,7 @@ const BY_FACTOR: &[(&str, f64, f64, f64)] = &[
     ("seal_resistance_pa_s_per_m3", 1.0 / 3.0, 3.0, std::f64::consts::LN_2),
     ("load_scale", 0.7, 1.3, std::f64::consts::LN_2),
 ];
-/// The return pressure is retuned by addition: largest value, and standard deviation, Pa.
+/// The return pressure is calibrated by addition: largest value, and standard deviation, Pa.
 const RETURN_PRESSURE_PA: (f64, f64) = (2.5e6, 2e5);
 /// Largest leak that is fitted, and its unit in the fit, m².
 const LEAK_M2: (f64, f64) = (3e-5, 1e-7);
@@ -39,7 +39,7 @@ fn symbol_of(key: &'static str) -> &'static str {
     PlantParameters::ALL.iter().find(|info| info.key == key).map_or(key, |info| info.symbol)
 }
 
-impl Axis for MachineSpec {
+impl SimulatedAxis for MachineSpec {
     fn catalogue() -> Vec<&'static EffectInfo> {
         effects::ALL.iter().map(|effect| effect.info()).collect()
     }
@@ -48,10 +48,10 @@ impl Axis for MachineSpec {
         &[Signal::Command, Signal::Position, Signal::PSupply, Signal::PInlet, Signal::PCap, Signal::PRod]
     }
 
-    fn tunables(&self) -> Vec<Tunable> {
+    fn calibrated_parameters(&self) -> Vec<CalibratedParameter> {
         let by_factor = BY_FACTOR.iter().filter_map(|(key, low, high, sigma)| {
             let nominal = self.plant.get(key).filter(|value| *value > 0.0)?;
-            Some(Tunable {
+            Some(CalibratedParameter {
                 key,
                 symbol: symbol_of(key),
                 bounds: self.bounds_of(key).unwrap_or((nominal * low, nominal * high)),
@@ -61,7 +61,7 @@ impl Axis for MachineSpec {
         });
         let (most, sigma) = RETURN_PRESSURE_PA;
         let key = "return_pressure_pa";
-        let returned = Tunable {
+        let returned = CalibratedParameter {
             key,
             symbol: symbol_of(key),
             bounds: self.bounds_of(key).unwrap_or((0.0, most)),
@@ -71,10 +71,16 @@ impl Axis for MachineSpec {
         by_factor.chain([returned]).collect()
     }
 
-    fn wear(&self) -> Option<Tunable> {
+    fn wear(&self) -> Option<CalibratedParameter> {
         let key = "leak_area_m2";
         let bounds = self.bounds_of(key).unwrap_or((0.0, LEAK_M2.0));
-        Some(Tunable { key, symbol: symbol_of(key), bounds, scale: Scale::Linear(LEAK_M2.1), sigma: None })
+        Some(CalibratedParameter {
+            key,
+            symbol: symbol_of(key),
+            bounds,
+            scale: Scale::Linear(LEAK_M2.1),
+            sigma: None,
+        })
     }
 
     fn parameter(&self, key: &str) -> f64 {
@@ -87,11 +93,11 @@ impl Axis for MachineSpec {
         }
     }
 
-    fn effects(&self) -> &Values {
+    fn effects(&self) -> &EffectValues {
         &self.effects
     }
 
-    fn effects_mut(&mut self) -> &mut Values {
+    fn effects_mut(&mut self) -> &mut EffectValues {
         &mut self.effects
     }
 
@@ -141,12 +147,17 @@ impl Axis for MachineSpec {
         command.iter().zip(position_m).enumerate().map(of).collect()
     }
 
-    fn run(machines: &[Self], drive: &[DriveSample], warm_up: usize, signals: &[Signal]) -> Vec<View> {
+    fn run(
+        machines: &[Self],
+        drive: &[DriveSample],
+        warm_up: usize,
+        signals: &[Signal],
+    ) -> Vec<BinnedSignals> {
         let ticks = drive.len() - warm_up;
         machines
             .par_chunks(LANES)
             .flat_map_iter(|machines| {
-                // Retuning and effects may make a plant stiffer than its file's; a batch takes the steps of the stiffest.
+                // Calibration and effects may make a plant stiffer than its file's; a batch takes the steps of the stiffest.
                 let steps = machines.iter().map(MachineSpec::stable_steps).max().unwrap_or(1);
                 let mut machines = machines.to_vec();
                 machines.iter_mut().for_each(|machine| machine.controller.steps_per_period = steps);
@@ -162,7 +173,7 @@ impl Axis for MachineSpec {
                         }
                     }
                 });
-                let view = |lane: usize| -> View {
+                let view = |lane: usize| -> BinnedSignals {
                     let mean = |bins: &Vec<[f64; LANES]>| {
                         bins.iter()
                             .zip(&counts)
@@ -171,16 +182,16 @@ impl Axis for MachineSpec {
                     };
                     sums.iter().map(mean).collect()
                 };
-                (0..machines.len()).map(view).collect::<Vec<View>>()
+                (0..machines.len()).map(view).collect::<Vec<BinnedSignals>>()
             })
             .collect()
     }
 
-    fn imbalances(&self, signals: &[Signal], view: &View) -> Imbalances {
+    fn imbalances(&self, signals: &[Signal], view: &BinnedSignals) -> Imbalances {
         imbalances(self, signals, view)
     }
 
-    fn contradiction(&self, signals: &[Signal], cycle: &Cycle) -> Option<String> {
+    fn contradiction(&self, signals: &[Signal], cycle: &RecordedCycle) -> Option<String> {
         inverted_command(signals, cycle).or_else(|| swapped_chambers(self, signals, cycle))
     }
 }
@@ -198,7 +209,7 @@ fn of(record: &SimulatedSignals<Lanes>, signal: Signal) -> Lanes {
     }
 }
 
-fn imbalances(spec: &MachineSpec, signals: &[Signal], view: &View) -> Imbalances {
+fn imbalances(spec: &MachineSpec, signals: &[Signal], view: &BinnedSignals) -> Imbalances {
     let signal = |signal: Signal| bins_of(signals, signal, view);
     let dt = spec.cycle.period_s / BINS as f64;
     let p = &spec.plant;
@@ -300,7 +311,7 @@ fn controller(spec: &MachineSpec, u: &[f64], x: &[f64], dt: f64) -> Vec<f64> {
 }
 
 /// The command opens the valve, and the piston moves.
-fn inverted_command(signals: &[Signal], cycle: &Cycle) -> Option<String> {
+fn inverted_command(signals: &[Signal], cycle: &RecordedCycle) -> Option<String> {
     let bins = |signal: Signal| bins_of(signals, signal, &cycle.bins);
     let (u, x) = (bins(Signal::Command)?, bins(Signal::Position)?);
     let speed: Vec<f64> = (0..BINS).map(|bin| x[(bin + 1) % BINS] - x[(bin + BINS - 1) % BINS]).collect();
@@ -316,7 +327,7 @@ fn inverted_command(signals: &[Signal], cycle: &Cycle) -> Option<String> {
 }
 
 /// Piston forces balance the load but for friction; with the chambers swapped they do not.
-fn swapped_chambers(spec: &MachineSpec, signals: &[Signal], cycle: &Cycle) -> Option<String> {
+fn swapped_chambers(spec: &MachineSpec, signals: &[Signal], cycle: &RecordedCycle) -> Option<String> {
     let bins = |signal: Signal| bins_of(signals, signal, &cycle.bins);
     let (p_cap, p_rod) = (bins(Signal::PCap)?, bins(Signal::PRod)?);
     let drive = &cycle.drive;

@@ -1,17 +1,17 @@
-//! How likely each explanation is: retuning alone, each effect, none of these.
+//! How likely each explanation is: calibration alone, each effect, none of these.
 //!
-//! Three questions in turn. *Is there a gap that retuning leaves?* Scores decide between the retuned machine and those with effects, and the
-//! retuned gap itself, over what differs from cycle to cycle, says whether anything is left at all. *Does the catalogue explain it?* The
-//! share that the best machine leaves of what retuning leaves: the right cause leaves noise, or, under a somewhat different law, less than
+//! Three questions in turn. *Is there a gap that calibration leaves?* Scores decide between the calibrated machine and those with effects, and the
+//! calibrated gap itself, over what differs from cycle to cycle, says whether anything is left at all. *Does the catalogue explain it?* The
+//! share that the best machine leaves of what calibration leaves: the right cause leaves noise, or, under a somewhat different law, less than
 //! half; a cause that the catalogue lacks is imitated in parts. *Which effect is it?* Scores again.
 //!
 //! Scores are log-likelihoods of the differences' mean squares by signal, with heavy tails, since the right cause under a slightly different
 //! law leaves a small rest; each free parameter of an effect costs half the logarithm of the number of independent values
 //! (Schwarz, Annals of Statistics 6 (1978)).
 
-use crate::axis::Axis;
 use crate::fit::{Fit, INDEPENDENT, Problem, prior_cost};
 use crate::search::Explanation;
+use crate::simulated_axis::SimulatedAxis;
 
 /// Prior probability of no effect.
 const PRIOR_NONE: f64 = 0.45;
@@ -30,7 +30,7 @@ const SHARE_OF_ANOTHER: f64 = 0.03;
 /// Probabilities that sum to 1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Ranking {
-    /// Of retuning alone.
+    /// Of calibration alone.
     pub none: f64,
     /// Of a cause that the catalogue lacks.
     pub unknown: f64,
@@ -51,9 +51,13 @@ pub(crate) fn score<A>(problem: &Problem<'_>, fit: &Fit<A>, parameters: f64) -> 
 }
 
 /// Weighs the explanations.
-pub fn rank<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, explanations: &[Explanation<A>]) -> Ranking {
+pub fn rank<A: SimulatedAxis>(
+    problem: &Problem<'_>,
+    calibrated: &Fit<A>,
+    explanations: &[Explanation<A>],
+) -> Ranking {
     let each = (1.0 - PRIOR_NONE) / A::catalogue().len() as f64;
-    let mut logs = vec![TEMPER * score(problem, retuned, 0.0) + PRIOR_NONE.ln()];
+    let mut logs = vec![TEMPER * score(problem, calibrated, 0.0) + PRIOR_NONE.ln()];
     logs.extend(explanations.iter().map(|explanation| {
         let further = (explanation.effects.len() - 1) as f64;
         let prior = each.ln() + further * (PRIOR_ANOTHER * each).ln();
@@ -65,7 +69,7 @@ pub fn rank<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, explanations: &[Ex
 
     let beyond_noise =
         |fit: &Fit<A>| (evidence(&problem.by_signal(&fit.residual)) - evidence(&problem.noise)).max(0.0);
-    let gap = beyond_noise(retuned);
+    let gap = beyond_noise(calibrated);
     let none = weights[0] / sum / (1.0 + (gap / EVIDENT).powi(4));
     let size = |fit: &Fit<A>| problem.by_signal(&fit.residual).iter().sum::<f64>().sqrt();
     let best = explanations.iter().zip(&weights[1..]).max_by(|a, b| a.1.total_cmp(b.1));
@@ -73,7 +77,7 @@ pub fn rank<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, explanations: &[Ex
         // Of the evidence, in which small signals count as much as large ones, and of the size, in which a real machine's many small rests
         // do not outweigh what was explained. Shares of next to nothing say nothing.
         let of_evidence = beyond_noise(&best.fit) / gap.max(0.1 * EVIDENT);
-        let of_size = if of_evidence > 0.0 { size(&best.fit) / size(retuned) } else { 0.0 };
+        let of_size = if of_evidence > 0.0 { size(&best.fit) / size(calibrated) } else { 0.0 };
         0.5 * (of_evidence + of_size) + SHARE_OF_ANOTHER * (best.effects.len() - 1) as f64
     });
     let unexplained = 1.0 / (1.0 + ((HALF_EXPLAINED.0 - left) / HALF_EXPLAINED.1).exp());

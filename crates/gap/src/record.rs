@@ -3,8 +3,8 @@
 use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
 
-use crate::axis::Axis;
 use crate::simulate::bins_of;
+use crate::simulated_axis::SimulatedAxis;
 
 /// RMS difference from the median cycle, over the signal's range, above which a cycle is of another kind.
 const ANOTHER_KIND: f64 = 0.1;
@@ -18,7 +18,7 @@ pub const ENOUGH_CYCLES: usize = 12;
 /// A log as read: one value a controller tick, NaN where there is none.
 #[derive(Debug, Clone, Default)]
 pub struct Log {
-    /// Values of each signal by [`Signal`]'s number; empty for a signal that the log lacks.
+    /// EffectValues of each signal by [`Signal`]'s number; empty for a signal that the log lacks.
     pub values: [Vec<f64>; Signal::ALL.len()],
 }
 
@@ -75,7 +75,7 @@ pub enum RecordError {
 
 /// One cycle in bins.
 #[derive(Debug, Clone)]
-pub struct Cycle {
+pub struct RecordedCycle {
     /// Mean of each compared signal in each bin, by place in [`Record::signals`].
     pub bins: Vec<Vec<f64>>,
     /// Demand and load at each tick.
@@ -88,7 +88,7 @@ pub struct Record {
     /// Signals that the log has, of those that are compared.
     pub signals: Vec<Signal>,
     /// Cycles.
-    pub cycles: Vec<Cycle>,
+    pub cycles: Vec<RecordedCycle>,
     /// Range of each signal over all cycles.
     pub range: Vec<f64>,
     /// RMS over range of each signal's cycle-to-cycle part.
@@ -107,7 +107,7 @@ impl Record {
     ///
     /// # Errors
     /// [`RecordError`] for a log that cannot be of such a machine, or with too few cycles.
-    pub fn new<A: Axis>(log: &Log, spec: &A) -> Result<Self, RecordError> {
+    pub fn new<A: SimulatedAxis>(log: &Log, spec: &A) -> Result<Self, RecordError> {
         check(log, spec)?;
         let mut notes = Vec::new();
         let ticks = (spec.duty_cycle().period_s / spec.tick_s()).round() as usize;
@@ -214,7 +214,7 @@ fn span(values: &[f64]) -> (f64, f64) {
 }
 
 /// Cycles whose command or position is unlike the median cycle's by more than [`ANOTHER_KIND`].
-fn of_another_kind(cycles: &[Cycle], range: &[f64]) -> Vec<usize> {
+fn of_another_kind(cycles: &[RecordedCycle], range: &[f64]) -> Vec<usize> {
     let median = |signal: usize| -> Vec<f64> {
         (0..BINS)
             .map(|bin| {
@@ -225,7 +225,7 @@ fn of_another_kind(cycles: &[Cycle], range: &[f64]) -> Vec<usize> {
             .collect()
     };
     let medians = [median(0), median(1)];
-    let unlike = |cycle: &Cycle| {
+    let unlike = |cycle: &RecordedCycle| {
         medians.iter().enumerate().any(|(signal, median)| {
             let square: f64 = cycle.bins[signal].iter().zip(median).map(|(a, b)| (a - b).powi(2)).sum();
             (square / BINS as f64).sqrt() > ANOTHER_KIND * range[signal]
@@ -235,7 +235,11 @@ fn of_another_kind(cycles: &[Cycle], range: &[f64]) -> Vec<usize> {
 }
 
 /// Whether signals go together as they do on any such axis.
-fn plausible<A: Axis>(signals: &[Signal], cycles: &[Cycle], spec: &A) -> Result<(), RecordError> {
+fn plausible<A: SimulatedAxis>(
+    signals: &[Signal],
+    cycles: &[RecordedCycle],
+    spec: &A,
+) -> Result<(), RecordError> {
     if let Some(what) = spec.contradiction(signals, &cycles[0]) {
         return Err(RecordError::Mismatch(what));
     }
@@ -263,7 +267,7 @@ fn plausible<A: Axis>(signals: &[Signal], cycles: &[Cycle], spec: &A) -> Result<
 }
 
 /// What can be wrong with a log before anything is compared.
-fn check<A: Axis>(log: &Log, spec: &A) -> Result<(), RecordError> {
+fn check<A: SimulatedAxis>(log: &Log, spec: &A) -> Result<(), RecordError> {
     for signal in [Signal::Command, Signal::Position] {
         let values = log.get(signal).ok_or(RecordError::Missing(signal.name()))?;
         let (low, high) = span(values);
@@ -352,7 +356,13 @@ fn starts(guide: &[f64], plan: &[f64]) -> (Vec<usize>, f64) {
     (starts, best)
 }
 
-fn cut<A: Axis>(log: &Log, spec: &A, signals: &[Signal], start: usize, ticks: usize) -> Option<Cycle> {
+fn cut<A: SimulatedAxis>(
+    log: &Log,
+    spec: &A,
+    signals: &[Signal],
+    start: usize,
+    ticks: usize,
+) -> Option<RecordedCycle> {
     let stretch = |signal: Signal| -> Option<Vec<f64>> {
         let values = log.get(signal)?.get(start..start + ticks)?;
         bridged(values)
@@ -379,7 +389,7 @@ fn cut<A: Axis>(log: &Log, spec: &A, signals: &[Signal], start: usize, ticks: us
             leak_area_m2: 0.0,
         })
         .collect();
-    Some(Cycle { bins, drive })
+    Some(RecordedCycle { bins, drive })
 }
 
 /// Fills short gaps along straight lines; `None` where too much is missing.
@@ -424,7 +434,7 @@ pub(crate) fn bin_of(tick: usize, ticks: usize) -> usize {
     (tick * BINS / ticks).min(BINS - 1)
 }
 
-fn ranges(cycles: &[Cycle], signals: usize) -> Vec<f64> {
+fn ranges(cycles: &[RecordedCycle], signals: usize) -> Vec<f64> {
     (0..signals)
         .map(|signal| {
             let all: Vec<f64> = cycles.iter().flat_map(|cycle| cycle.bins[signal].iter().copied()).collect();
@@ -435,7 +445,7 @@ fn ranges(cycles: &[Cycle], signals: usize) -> Vec<f64> {
 }
 
 /// RMS of the bins' difference from their mean over cycles, over the signal's range.
-fn floors(cycles: &[Cycle], range: &[f64]) -> Vec<f64> {
+fn floors(cycles: &[RecordedCycle], range: &[f64]) -> Vec<f64> {
     let n = cycles.len() as f64;
     range
         .iter()
@@ -443,7 +453,7 @@ fn floors(cycles: &[Cycle], range: &[f64]) -> Vec<f64> {
         .map(|(signal, range)| {
             let square: f64 = (0..BINS)
                 .map(|bin| {
-                    let of = |cycle: &Cycle| cycle.bins[signal][bin];
+                    let of = |cycle: &RecordedCycle| cycle.bins[signal][bin];
                     let mean = cycles.iter().map(of).sum::<f64>() / n;
                     cycles.iter().map(|cycle| (of(cycle) - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0)
                 })

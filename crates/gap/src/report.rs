@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use crate::simulate::View;
+use crate::simulate::BinnedSignals;
 
 /// `seepd.gap/1`.
 #[derive(Debug, Clone, Serialize)]
@@ -19,17 +19,17 @@ pub struct Diagnosis {
     pub floor: BTreeMap<&'static str, f64>,
     /// RMS over range of the differences on held-out cycles.
     pub gap: Gaps,
-    /// Where the retuned machine's gap is, largest first; sums to 1.
+    /// Where the calibrated machine's gap is, largest first; sums to 1.
     #[serde(rename = "where")]
     pub places: Vec<Place>,
-    /// What it comes to.
+    /// The conclusion.
     pub verdict: Verdict,
     /// Why there is none, or what limits it.
     pub reason: Option<String>,
     /// Wall time, s.
     pub seconds: f64,
     /// Effects, most likely first.
-    pub effects: Vec<EffectFinding>,
+    pub effects: Vec<RankedEffect>,
     /// Probability that the cause is none of the catalogue's.
     pub unknown_probability: f64,
     /// Probability that there is no effect.
@@ -38,8 +38,9 @@ pub struct Diagnosis {
     pub chosen: Vec<&'static str>,
     /// How far the gap shrinks on held-out cycles.
     pub shrink: Shrink,
-    /// The plant's own parameters as retuned, by symbol.
-    pub retuned: BTreeMap<&'static str, Retuned>,
+    /// The plant's own parameters as calibrated, by symbol.
+    #[serde(rename = "retuned")]
+    pub calibrated: BTreeMap<&'static str, CalibratedValue>,
     /// The leak under each machine, m².
     pub leak: Leaks,
     /// What would tell apart what this log cannot.
@@ -57,13 +58,13 @@ pub struct Curves {
     /// Time in the cycle, s.
     pub t_s: Vec<f64>,
     /// Mean of the held-out cycles.
-    pub recorded: View,
+    pub recorded: BinnedSignals,
     /// The plant file's machine, its leak fitted.
-    pub nominal: View,
-    /// The retuned machine.
-    pub retuned: View,
+    pub nominal: BinnedSignals,
+    /// The calibrated machine.
+    pub calibrated: BinnedSignals,
     /// The machine with the chosen effects.
-    pub chosen: View,
+    pub chosen: BinnedSignals,
     /// Name of each phase with its start and end, s.
     pub phases: Vec<(&'static str, f64, f64)>,
 }
@@ -84,8 +85,9 @@ pub struct CycleCounts {
 pub struct Gaps {
     /// Of the plant file's machine, its leak fitted.
     pub nominal: BTreeMap<&'static str, f64>,
-    /// Of the retuned machine.
-    pub retuned: BTreeMap<&'static str, f64>,
+    /// Of the calibrated machine.
+    #[serde(rename = "retuned")]
+    pub calibrated: BTreeMap<&'static str, f64>,
     /// Of the machine with the chosen effects.
     pub chosen: BTreeMap<&'static str, f64>,
 }
@@ -103,7 +105,7 @@ pub struct Place {
     pub share: f64,
 }
 
-/// What a diagnosis comes to.
+/// The conclusion of a diagnosis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -115,24 +117,24 @@ pub enum Verdict {
     Effect,
     /// There is a difference, and nothing that the catalogue has explains it.
     Unknown,
-    /// The log does not say.
+    /// The log does not tell.
     CannotTell,
 }
 
-/// An effect's chances.
+/// An effect with its probability.
 #[derive(Debug, Clone, Serialize)]
-pub struct EffectFinding {
+pub struct RankedEffect {
     /// Key.
     pub effect: &'static str,
     /// Its law.
     pub law: &'static str,
     /// Probability.
     pub probability: f64,
-    /// Values.
+    /// EffectValues.
     pub parameters: BTreeMap<&'static str, f64>,
     /// Their 95 % intervals.
     pub interval95: BTreeMap<&'static str, [f64; 2]>,
-    /// Share of the removable gap that it removes, with retuning, on held-out cycles.
+    /// Share of the removable gap that it removes, with calibration, on held-out cycles.
     pub shrink: f64,
     /// Effects whose signature is the same in this log.
     pub equivalent: Vec<&'static str>,
@@ -141,19 +143,20 @@ pub struct EffectFinding {
 /// How far the gap shrinks.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Shrink {
-    /// With the chosen effects, of what is above the floor.
+    /// With the chosen effects, share of what is above the floor.
     pub of_removable: f64,
-    /// With the chosen effects, of the whole.
+    /// With the chosen effects, share of the whole.
     pub of_total: f64,
-    /// With retuning alone, of what is above the floor.
-    pub retune_only: f64,
-    /// Part of the first that each chosen effect has beyond retuning (Shapley values): with `retune_only` they add up to it.
+    /// With calibration alone, share of what is above the floor.
+    #[serde(rename = "retune_only")]
+    pub calibration_only: f64,
+    /// Part of the first that each chosen effect has beyond calibration (Shapley values): with `calibration_only` they add up to it.
     pub by_effect: BTreeMap<&'static str, f64>,
 }
 
-/// A retuned parameter.
+/// A calibrated parameter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Retuned {
+pub struct CalibratedValue {
     /// In the plant file.
     pub nominal: f64,
     /// As fitted.
@@ -167,8 +170,9 @@ pub struct Retuned {
 pub struct Leaks {
     /// By the plant file's machine.
     pub nominal_m2: f64,
-    /// By the retuned machine.
-    pub retuned_m2: f64,
+    /// By the calibrated machine.
+    #[serde(rename = "retuned_m2")]
+    pub calibrated_m2: f64,
     /// With the chosen effects.
     pub chosen_m2: f64,
 }

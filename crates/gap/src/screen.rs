@@ -1,10 +1,10 @@
-//! Which effects are worth a fit: what each explains of the gap beyond what retuning explains.
+//! Which effects are worth a fit: what each explains of the gap beyond what calibration explains.
 
 use nalgebra::{DMatrix, DVector};
 use seepd_sim::effects::EffectInfo;
 
-use crate::axis::Axis;
 use crate::fit::{Fit, Problem, normal_matrix};
+use crate::simulated_axis::SimulatedAxis;
 
 /// An effect at the strength at which it explains most.
 #[derive(Clone)]
@@ -13,9 +13,9 @@ pub struct Candidate {
     pub effect: &'static EffectInfo,
     /// Its values.
     pub values: Vec<f64>,
-    /// How much of the retuned cost it takes away, to first order.
+    /// How much of the calibrated cost it takes away, to first order.
     pub gain: f64,
-    /// Norm of its signature beyond retuning, in expected errors: how much it would show at all.
+    /// Norm of its signature beyond calibration, in expected errors: how much it would show at all.
     pub visible: f64,
 }
 
@@ -32,21 +32,27 @@ const ONE_SIZE: [f64; 1] = [0.2];
 const STARTS: usize = 16;
 const WAVES: usize = 192;
 
-/// Screens the catalogue, but for some effects, on the retuned machine; the most promising first.
-pub fn screen<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, without: &[String]) -> Vec<Candidate> {
+/// Screens the catalogue, but for some effects, on the calibrated machine; the most promising first.
+pub fn screen<A: SimulatedAxis>(
+    problem: &Problem<'_>,
+    calibrated: &Fit<A>,
+    without: &[String],
+) -> Vec<Candidate> {
     let mut tried: Vec<(&'static EffectInfo, Vec<f64>)> = Vec::new();
     for effect in A::catalogue() {
         // What the plant file has already is part of the plant.
-        if !retuned.spec.effects().contains_key(effect.key) && !without.iter().any(|key| key == effect.key) {
-            tried.extend(levels(effect, &retuned.spec).into_iter().map(|values| (effect, values)));
+        if !calibrated.spec.effects().contains_key(effect.key) && !without.iter().any(|key| key == effect.key)
+        {
+            tried.extend(levels(effect, &calibrated.spec).into_iter().map(|values| (effect, values)));
         }
     }
-    let machines: Vec<A> = tried.iter().map(|(effect, values)| with(&retuned.spec, effect, values)).collect();
-    let beyond = Beyond::new(retuned);
-    let base = beyond.project(&retuned.residual);
+    let machines: Vec<A> =
+        tried.iter().map(|(effect, values)| with(&calibrated.spec, effect, values)).collect();
+    let projector = CalibrationProjector::new(calibrated);
+    let base = projector.project(&calibrated.residual);
     let mut best: Vec<Candidate> = Vec::new();
     for ((effect, values), residual) in tried.into_iter().zip(problem.residuals(&machines)) {
-        let signature = beyond.project(&(residual - &retuned.residual));
+        let signature = projector.project(&(residual - &calibrated.residual));
         let square = signature.norm_squared().max(1e-12);
         // How much of it, within what is still somewhat linear.
         let amount = (-signature.dot(&base) / square).clamp(0.2, 2.5);
@@ -63,7 +69,7 @@ pub fn screen<A: Axis>(problem: &Problem<'_>, retuned: &Fit<A>, without: &[Strin
 }
 
 /// The machine with an effect at these values.
-pub(crate) fn with<A: Axis>(spec: &A, effect: &EffectInfo, values: &[f64]) -> A {
+pub(crate) fn with<A: SimulatedAxis>(spec: &A, effect: &EffectInfo, values: &[f64]) -> A {
     let mut spec = spec.clone();
     let table = spec.effects_mut().entry(effect.key.into()).or_default();
     for (parameter, value) in effect.parameters.iter().zip(values) {
@@ -73,7 +79,7 @@ pub(crate) fn with<A: Axis>(spec: &A, effect: &EffectInfo, values: &[f64]) -> A 
 }
 
 /// Combinations of the parameters' levels.
-fn levels<A: Axis>(effect: &EffectInfo, spec: &A) -> Vec<Vec<f64>> {
+fn levels<A: SimulatedAxis>(effect: &EffectInfo, spec: &A) -> Vec<Vec<f64>> {
     let mut combinations: Vec<Vec<f64>> = vec![Vec::new()];
     for (index, parameter) in effect.parameters.iter().enumerate() {
         let (low, high) = spec.range(effect, parameter);
@@ -114,18 +120,18 @@ pub(crate) fn spans_decades(low: f64, high: f64) -> bool {
     low > 0.0 && high > 100.0 * low
 }
 
-/// What is left of a difference once retuning has taken its part.
-pub(crate) struct Beyond {
+/// What is left of a difference once calibration has taken its part.
+pub(crate) struct CalibrationProjector {
     jacobian: DMatrix<f64>,
     inverse: DMatrix<f64>,
 }
 
-impl Beyond {
+impl CalibrationProjector {
     pub(crate) fn new<A>(fit: &Fit<A>) -> Self {
         let matrix = normal_matrix(&fit.free, &fit.jacobian, 1.0);
         let size = matrix.nrows();
         let inverse = matrix.try_inverse().unwrap_or_else(|| DMatrix::zeros(size, size));
-        Beyond { jacobian: fit.jacobian.clone(), inverse }
+        CalibrationProjector { jacobian: fit.jacobian.clone(), inverse }
     }
 
     pub(crate) fn project(&self, difference: &DVector<f64>) -> DVector<f64> {

@@ -3,11 +3,11 @@
 use rayon::prelude::*;
 use seepd_sim::effects::EffectInfo;
 
-use crate::axis::Axis;
 use crate::diagnosis::DiagnosisSettings;
 use crate::fit::{Fit, Problem, of_effect, values_of};
 use crate::rank::score;
 use crate::screen::{Candidate, screen, with};
+use crate::simulated_axis::SimulatedAxis;
 
 /// A machine with some effects, fitted.
 #[derive(Clone)]
@@ -18,7 +18,7 @@ pub struct Explanation<A> {
     pub fit: Fit<A>,
 }
 
-impl<A: Axis> Explanation<A> {
+impl<A: SimulatedAxis> Explanation<A> {
     /// Whether an effect is part of it.
     pub fn has(&self, key: &str) -> bool {
         self.effects.iter().any(|effect| effect.key == key)
@@ -31,9 +31,9 @@ impl<A: Axis> Explanation<A> {
 }
 
 /// What a search found.
-pub struct Found<A> {
-    /// The retuned machine.
-    pub retuned: Fit<A>,
+pub struct SearchResult<A> {
+    /// The calibrated machine.
+    pub calibrated: Fit<A>,
     /// Effects screened beside it, the most promising first.
     pub candidates: Vec<Candidate>,
     /// Machines with one effect or more.
@@ -42,7 +42,7 @@ pub struct Found<A> {
 
 /// Effects that are fitted from both machines.
 const TWICE: usize = 3;
-/// Share of the cost below which retuning anew is worth another round of fits.
+/// Share of the cost below which another calibration is worth another round of fits.
 const WORTH_ANOTHER_ROUND: f64 = 0.9;
 /// Machines with one effect that are given a second, and effects that are tried as the next one.
 const BEAM: usize = 2;
@@ -54,24 +54,28 @@ const NOTHING_LEFT: f64 = 3.0;
 /// Share of the cost that a further effect has to leave at most to be kept.
 const WORTH_ANOTHER_EFFECT: f64 = 0.7;
 
-/// Searches from the retuned and the untouched machine.
-pub fn search<A: Axis>(
+/// Searches from the calibrated and the untouched machine.
+pub fn search<A: SimulatedAxis>(
     problem: &Problem<'_>,
     untouched: &Fit<A>,
-    retuned: Fit<A>,
+    calibrated: Fit<A>,
     far: &[Candidate],
     settings: &DiagnosisSettings,
-) -> Found<A> {
-    let mut found =
-        Found { candidates: screen(problem, &retuned, &settings.without), retuned, explanations: Vec::new() };
-    found.explanations = single_effects(problem, untouched, &found.retuned, &found.candidates, far, settings);
-    // An effect's fit that owes its success to the parameters beside it shows where retuning should have gone.
+) -> SearchResult<A> {
+    let mut found = SearchResult {
+        candidates: screen(problem, &calibrated, &settings.without),
+        calibrated,
+        explanations: Vec::new(),
+    };
+    found.explanations =
+        single_effects(problem, untouched, &found.calibrated, &found.candidates, far, settings);
+    // An effect's fit that owes its success to the parameters beside it shows where calibration should have gone.
     let better = repolished(problem, &found, settings);
-    if better.cost < WORTH_ANOTHER_ROUND * found.retuned.cost {
-        found.retuned = better;
-        found.candidates = screen(problem, &found.retuned, &settings.without);
+    if better.cost < WORTH_ANOTHER_ROUND * found.calibrated.cost {
+        found.calibrated = better;
+        found.candidates = screen(problem, &found.calibrated, &settings.without);
         found.explanations =
-            single_effects(problem, untouched, &found.retuned, &found.candidates, far, settings);
+            single_effects(problem, untouched, &found.calibrated, &found.candidates, far, settings);
     }
     polish(problem, &mut found.explanations, settings);
     if found.explanations.iter().all(|one| something_left(problem, &one.fit)) {
@@ -81,7 +85,11 @@ pub fn search<A: Axis>(
 }
 
 /// Takes the best fits further, with new derivatives: a fit that has not converged loses to one that has.
-fn polish<A: Axis>(problem: &Problem<'_>, explanations: &mut [Explanation<A>], settings: &DiagnosisSettings) {
+fn polish<A: SimulatedAxis>(
+    problem: &Problem<'_>,
+    explanations: &mut [Explanation<A>],
+    settings: &DiagnosisSettings,
+) {
     explanations.par_iter_mut().take(TWICE).for_each(|one| {
         one.fit = one.fit.clone().renewed(problem).fitted(problem, settings.iterations).renewed(problem);
     });
@@ -92,30 +100,34 @@ fn something_left<A>(problem: &Problem<'_>, fit: &Fit<A>) -> bool {
     problem.by_signal(&fit.residual).into_iter().any(|square| square > NOTHING_LEFT)
 }
 
-/// Retuning from where the best effect's fit has put the plant's parameters, without the effect.
-fn repolished<A: Axis>(problem: &Problem<'_>, found: &Found<A>, settings: &DiagnosisSettings) -> Fit<A> {
+/// Calibration from where the best effect's fit has put the plant's parameters, without the effect.
+fn repolished<A: SimulatedAxis>(
+    problem: &Problem<'_>,
+    found: &SearchResult<A>,
+    settings: &DiagnosisSettings,
+) -> Fit<A> {
     let best = found.explanations.iter().min_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
-    let Some(best) = best else { return found.retuned.clone() };
+    let Some(best) = best else { return found.calibrated.clone() };
     let mut start = best.fit.spec.clone();
     for effect in &best.effects {
         start.effects_mut().remove(effect.key);
     }
-    let free = found.retuned.free.clone();
+    let free = found.calibrated.free.clone();
     Fit::at(problem, &start, free).fitted(problem, 2 * settings.iterations).renewed(problem)
 }
 
-/// Fits the most promising effects: those that explain most beside the retuned machine, and those that do beside the untouched one, since
-/// retuning may have bent other parameters to the gap. The best of all are fitted from both.
-fn single_effects<A: Axis>(
+/// Fits the most promising effects: those that explain most beside the calibrated machine, and those that do beside the untouched one, since
+/// calibration may have bent other parameters to the gap. The best of all are fitted from both.
+fn single_effects<A: SimulatedAxis>(
     problem: &Problem<'_>,
     untouched: &Fit<A>,
-    retuned: &Fit<A>,
+    calibrated: &Fit<A>,
     near: &[Candidate],
     far: &[Candidate],
     settings: &DiagnosisSettings,
 ) -> Vec<Explanation<A>> {
     let fit = |(candidate, from_afar): &(&Candidate, bool)| {
-        let start = if *from_afar { untouched } else { retuned };
+        let start = if *from_afar { untouched } else { calibrated };
         let fit = beside(problem, start, candidate.effect, &candidate.values);
         if *from_afar || (0..candidate.effect.parameters.len()).any(|index| candidate.effect.is_time(index)) {
             fit.from_afar(problem, settings.iterations)
@@ -141,7 +153,7 @@ fn single_effects<A: Axis>(
 }
 
 /// The machine with a further effect, its parameters free.
-fn beside<A: Axis>(
+fn beside<A: SimulatedAxis>(
     problem: &Problem<'_>,
     start: &Fit<A>,
     effect: &'static EffectInfo,
@@ -165,7 +177,7 @@ fn keep_better<'c, A>(
 }
 
 /// Forward selection: the best machines get a further effect as long as something is left and the next one takes much of it.
-fn add_effects<A: Axis>(
+fn add_effects<A: SimulatedAxis>(
     problem: &Problem<'_>,
     explanations: &mut Vec<Explanation<A>>,
     settings: &DiagnosisSettings,
@@ -192,14 +204,18 @@ fn add_effects<A: Axis>(
     }
 }
 
-fn most_likely<A: Axis>(problem: &Problem<'_>, from: &[Explanation<A>], count: usize) -> Vec<Explanation<A>> {
+fn most_likely<A: SimulatedAxis>(
+    problem: &Problem<'_>,
+    from: &[Explanation<A>],
+    count: usize,
+) -> Vec<Explanation<A>> {
     let mut sorted: Vec<(f64, &Explanation<A>)> =
         from.iter().map(|one| (score(problem, &one.fit, one.parameters() as f64), one)).collect();
     sorted.sort_by(|a, b| b.0.total_cmp(&a.0));
     sorted.into_iter().take(count).map(|(_, one)| one.clone()).collect()
 }
 
-impl<A: Axis> Explanation<A> {
+impl<A: SimulatedAxis> Explanation<A> {
     /// Whether one of its effects has been fitted away.
     fn is_idle(&self) -> bool {
         self.effects.iter().any(|effect| {

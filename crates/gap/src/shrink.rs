@@ -2,11 +2,11 @@
 
 use seepd_sim::cycle::DriveSample;
 
-use crate::axis::Axis;
 use crate::fit::{Fit, Problem};
 use crate::record::{BINS, Record};
 use crate::search::Explanation;
-use crate::simulate::{View, views};
+use crate::simulate::{BinnedSignals, binned_signals};
+use crate::simulated_axis::SimulatedAxis;
 
 /// Signals whose nominal gap exceeds this many floors count in the shrink.
 const FLOORS: f64 = 1.5;
@@ -21,15 +21,15 @@ pub struct HeldOut<'r> {
 
 impl HeldOut<'_> {
     /// RMS over range, by machine and signal, each cycle against its own simulation.
-    pub fn gaps<A: Axis>(&self, machines: &[A]) -> Vec<Vec<f64>> {
+    pub fn gaps<A: SimulatedAxis>(&self, machines: &[A]) -> Vec<Vec<f64>> {
         let record = self.record;
         let mut sums = vec![vec![0.0; record.signals.len()]; machines.len()];
-        let mut simulated: Option<(&[DriveSample], Vec<View>)> = None;
+        let mut simulated: Option<(&[DriveSample], Vec<BinnedSignals>)> = None;
         for cycle in self.cycles {
             let cycle = &record.cycles[*cycle];
             // Cycles with the very same drive have the very same simulation.
             if simulated.as_ref().is_none_or(|(drive, _)| *drive != cycle.drive) {
-                simulated = Some((&cycle.drive, views(machines, &cycle.drive, &record.signals)));
+                simulated = Some((&cycle.drive, binned_signals(machines, &cycle.drive, &record.signals)));
             }
             let Some((_, shown)) = &simulated else { continue };
             for (sums, view) in sums.iter_mut().zip(shown) {
@@ -56,13 +56,13 @@ impl HeldOut<'_> {
     }
 }
 
-/// The part of the shrink that each effect of a machine has, beyond retuning: its Shapley value (Shapley, Contributions to the Theory of
+/// The part of the shrink that each effect of a machine has, beyond calibration: its Shapley value (Shapley, Contributions to the Theory of
 /// Games II (1953)) over the machines with fewer of the effects, each fitted anew. Parts add up.
-pub fn attributed<A: Axis>(
+pub fn attributed<A: SimulatedAxis>(
     problem: &Problem<'_>,
     held_out: &HeldOut<'_>,
     nominal: &[f64],
-    retuned: &Fit<A>,
+    calibrated: &Fit<A>,
     chosen: &Explanation<A>,
     iterations: usize,
 ) -> Vec<f64> {
@@ -70,7 +70,7 @@ pub fn attributed<A: Axis>(
     let all = (1usize << count) - 1;
     let machines: Vec<A> = (0..=all)
         .map(|subset| match subset {
-            0 => retuned.spec.clone(),
+            0 => calibrated.spec.clone(),
             _ if subset == all => chosen.fit.spec.clone(),
             _ => with_some(problem, chosen, subset, iterations),
         })
@@ -93,7 +93,12 @@ fn share(count: usize, subset: usize) -> f64 {
 }
 
 /// The machine with some of the chosen effects, fitted anew.
-fn with_some<A: Axis>(problem: &Problem<'_>, chosen: &Explanation<A>, subset: usize, iterations: usize) -> A {
+fn with_some<A: SimulatedAxis>(
+    problem: &Problem<'_>,
+    chosen: &Explanation<A>,
+    subset: usize,
+    iterations: usize,
+) -> A {
     let mut spec = chosen.fit.spec.clone();
     let dropped: Vec<&str> = chosen
         .effects

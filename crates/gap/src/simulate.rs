@@ -3,19 +3,27 @@
 use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
 
-use crate::axis::Axis;
+use crate::simulated_axis::SimulatedAxis;
 
 /// What a machine shows: mean of each signal in each bin.
-pub type View = Vec<Vec<f64>>;
+pub type BinnedSignals = Vec<Vec<f64>>;
 
 /// A signal's bins, if it is among the signals of the view.
-pub(crate) fn bins_of<'v>(signals: &[Signal], signal: Signal, view: &'v View) -> Option<&'v Vec<f64>> {
+pub(crate) fn bins_of<'v>(
+    signals: &[Signal],
+    signal: Signal,
+    view: &'v BinnedSignals,
+) -> Option<&'v Vec<f64>> {
     signals.iter().position(|other| *other == signal).map(|index| &view[index])
 }
 
 /// Simulates each machine over the drive, after a warm-up with the end of the same drive, and bins its signals. A simulation that goes
 /// out of bounds shows NaN.
-pub fn views<A: Axis>(machines: &[A], drive: &[DriveSample], signals: &[Signal]) -> Vec<View> {
+pub fn binned_signals<A: SimulatedAxis>(
+    machines: &[A],
+    drive: &[DriveSample],
+    signals: &[Signal],
+) -> Vec<BinnedSignals> {
     let warm_up = &drive[last_stroke(drive)..];
     let driven: Vec<DriveSample> = warm_up.iter().chain(drive).copied().collect();
     A::run(machines, &driven, warm_up.len(), signals)

@@ -61,9 +61,9 @@ fn coulomb_friction_then_the_offset_are_named_and_sized() {
         assert!(low <= planted && planted <= high, "{effect}: {low} … {high}");
     }
     assert!(found.shrink.of_removable > 0.95, "{:?}", found.shrink);
-    // Shapley's parts and retuning add up to the whole.
+    // Shapley's parts and calibration add up to the whole.
     let parts: f64 = found.shrink.by_effect.values().sum();
-    assert!((parts + found.shrink.retune_only - found.shrink.of_removable).abs() < 1e-9);
+    assert!((parts + found.shrink.calibration_only - found.shrink.of_removable).abs() < 1e-9);
     assert!(found.shrink.by_effect["coulomb_friction"] > found.shrink.by_effect["force_offset"]);
 }
 

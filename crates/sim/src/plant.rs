@@ -27,7 +27,7 @@ const MOST_ITERATIONS: usize = 10_000;
 /// Solving Ordinary Differential Equations II, section IV.2).
 pub const RK4_STABILITY_LIMIT: f64 = 2.78;
 
-/// What a plant parameter is: for files, reports, retuning and the variation of simulated machines.
+/// What a plant parameter is: for files, reports, calibration and the variation of simulated machines.
 #[derive(Debug, Clone, Copy)]
 pub struct ParameterInfo {
     /// Key in `plant.toml` and field of [`PlantParameters`].

@@ -28,7 +28,7 @@ pub struct MachineSpec {
     pub cycle: DutyCycle,
     /// Effects by key, each with its parameters by name.
     pub effects: BTreeMap<String, BTreeMap<String, f64>>,
-    /// Least and largest value of plant parameters that a diagnosis may retune, by key or symbol; absent: its own bounds.
+    /// Least and largest value of plant parameters that a diagnosis may calibrate, by key or symbol; absent: its own bounds.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub bounds: BTreeMap<String, [f64; 2]>,
 }

@@ -4,23 +4,22 @@
 //! The article is "Characterization of Leakage Fault in Hydraulic Cylinders Leading to Sustainable Maintenance Planning of
 //! Equipment". [`cycles`] simulates, [`features`] reads the cycles with the monitor's own code, [`ensemble`] learns the article's way
 //! and compares it with the program's model, [`limits`] finds the smallest leak that one cycle shows, [`holding`] the largest
-//! that the controller holds, [`verdict`] says what agrees.
+//! that the controller holds, [`claims`] says what agrees.
 
+pub mod claims;
 pub mod cycles;
 pub mod ensemble;
 pub mod features;
 pub mod holding;
 pub mod limits;
-pub mod verdict;
 
 use seepd_model::Model;
 use seepd_sim::MachineSpec;
+use seepd_train::report::NOISE_LEVELS;
 use serde::Serialize;
 
 /// Smallest and largest leak area of the article's experiments, m².
 pub const AREAS_M2: (f64, f64) = (0.5e-7, 1e-5);
-/// Standard deviations of the command's noise in figures 8 and 9; the first is that of the experiments.
-pub const NOISE_LEVELS: [f64; 5] = [0.001, 0.003, 0.005, 0.007, 0.01];
 
 /// Everything that the study found: `seepd.study/1`.
 #[derive(Debug, Clone, Serialize)]
@@ -43,8 +42,9 @@ pub struct Study {
     pub limits: Vec<limits::Limit>,
     /// The largest leak that the controller holds.
     pub holding: holding::Holding,
-    /// Whether each agrees with the article.
-    pub verdicts: Vec<verdict::Verdict>,
+    /// Whether each figure agrees with the article.
+    #[serde(rename = "verdicts")]
+    pub claims: Vec<claims::ClaimOutcome>,
 }
 
 /// Why there is no study.
@@ -107,9 +107,9 @@ pub fn run(model: &Model, seed: u64, tell: &mut dyn FnMut(usize)) -> Result<Stud
         ensembles,
         limits,
         holding,
-        verdicts: Vec::new(),
+        claims: Vec::new(),
     };
-    study.verdicts = verdict::verdicts(&study);
+    study.claims = claims::outcomes(&study);
     Ok(study)
 }
 

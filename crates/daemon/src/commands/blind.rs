@@ -352,7 +352,7 @@ fn table(scores: &BTreeMap<&str, Scores>, wrong: bool) -> String {
     type Cell = fn(&Scores) -> String;
     let rows: [(&str, Cell); 17] = [
         ("cases", |s| s.cases.to_string()),
-        ("single effects visible after retuning", |s| format!("{} of {}", s.visible[0], s.visible[1])),
+        ("single effects visible after calibration", |s| format!("{} of {}", s.visible[0], s.visible[1])),
         ("top-1, visible, within classes", |s| format!("{:.2}", s.top_1)),
         ("top-1, visible, exact", |s| format!("{:.2}", s.top_1_exact)),
         ("top-2, visible, within classes", |s| format!("{:.2}", s.top_2)),
@@ -368,11 +368,13 @@ fn table(scores: &BTreeMap<&str, Scores>, wrong: bool) -> String {
         }),
         ("removable gap removed", |s| format!("{:.2}", s.shrink)),
         ("claimed gap against emitted plant's", |s| format!("{:.1e}", s.claimed_gap_error)),
-        ("leak error, L/min: nominal, retuned, chosen", |s| {
-            let [nominal, retuned, chosen] = s.leak_error_lpm;
-            format!("{nominal:.3}, {retuned:.3}, {chosen:.3}")
+        ("leak error, L/min: nominal, calibrated, chosen", |s| {
+            let [nominal, calibrated, chosen] = s.leak_error_lpm;
+            format!("{nominal:.3}, {calibrated:.3}, {chosen:.3}")
         }),
-        ("leak error retuned over chosen", |s| format!("{:.1}", s.leak_error_lpm[1] / s.leak_error_lpm[2])),
+        ("leak error calibrated over chosen", |s| {
+            format!("{:.1}", s.leak_error_lpm[1] / s.leak_error_lpm[2])
+        }),
         ("seconds: median, largest", |s| format!("{:.1}, {:.1}", s.seconds[0], s.seconds[1])),
     ];
     let mut text = String::from("| score |");

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use clap::{Args, Subcommand};
 use seepd_gap::report::{Diagnosis, Verdict};
-use seepd_gap::{Axis, DiagnosisSettings, Log, Record, RecordError, cannot_tell, diagnose};
+use seepd_gap::{DiagnosisSettings, Log, Record, RecordError, SimulatedAxis, cannot_tell, diagnose};
 use seepd_settings::unknown_key;
 use seepd_signals::Signal;
 use seepd_sim::electric::ElectricAxis;
@@ -50,7 +50,7 @@ pub struct GapArguments {
     /// Write the diagnosis as one HTML page with plots
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
-    /// Write the plant file with the retuned parameters and the chosen effects
+    /// Write the plant file with the calibrated parameters and the chosen effects
     #[arg(long, value_name = "FILE")]
     emit_plant: Option<PathBuf>,
     /// Effect that the catalogue is to lack; may be repeated
@@ -186,7 +186,7 @@ pub(super) fn pool(threads: Option<u16>) -> Result<rayon::ThreadPool, Failure> {
 ///
 /// # Errors
 /// [`RecordError`] for a log that holds too little.
-pub(super) fn answer<A: Axis>(
+pub(super) fn answer<A: SimulatedAxis>(
     log: &Log,
     spec: &A,
     settings: &DiagnosisSettings,
@@ -202,7 +202,7 @@ pub(super) fn answer<A: Axis>(
 }
 
 /// An axis that can be written as a plant file.
-pub(super) trait PlantFile: Axis {
+pub(super) trait PlantFile: SimulatedAxis {
     /// The file's text.
     fn text(&self) -> Result<String, SpecError>;
 }
@@ -262,7 +262,11 @@ fn write(
 ///
 /// # Errors
 /// [`Failure`] where it cannot be read.
-pub(super) fn read<A: Axis>(path: &Path, config: &Config, spec: &A) -> Result<(Log, Vec<String>), Failure> {
+pub(super) fn read<A: SimulatedAxis>(
+    path: &Path,
+    config: &Config,
+    spec: &A,
+) -> Result<(Log, Vec<String>), Failure> {
     let mut notes = Vec::new();
     let mut source = source::open(path, config)?;
     let period_ns = spec.tick_s() * 1e9;
@@ -306,8 +310,8 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
         return text;
     }
     text += &format!(
-        "{:<10} {:>9} {:>9} {:>9} {:>9}   gap on {} held-out cycles, RMS over range\n",
-        "signal", "floor", "nominal", "retuned", "chosen", diagnosis.cycles.held_out
+        "{:<10} {:>9} {:>9} {:>10} {:>9}   gap on {} held-out cycles, RMS over range\n",
+        "signal", "floor", "nominal", "calibrated", "chosen", diagnosis.cycles.held_out
     );
     for signal in &diagnosis.signals {
         let of = |map: &std::collections::BTreeMap<&'static str, f64>| {
@@ -315,16 +319,16 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
         };
         let gap = &diagnosis.gap;
         text += &format!(
-            "{signal:<10} {:>9} {:>9} {:>9} {:>9}\n",
+            "{signal:<10} {:>9} {:>9} {:>10} {:>9}\n",
             of(&diagnosis.floor),
             of(&gap.nominal),
-            of(&gap.retuned),
+            of(&gap.calibrated),
             of(&gap.chosen)
         );
     }
     text += &format!(
-        "\nretuning alone removes {} of what can be removed, the chosen machine {}\n",
-        percent(diagnosis.shrink.retune_only),
+        "\ncalibration alone removes {} of what can be removed, the chosen machine {}\n",
+        percent(diagnosis.shrink.calibration_only),
         percent(diagnosis.shrink.of_removable)
     );
     if diagnosis.shrink.by_effect.len() > 1 {
@@ -334,9 +338,9 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
             .iter()
             .map(|(effect, part)| format!("{effect} {}", percent(*part)))
             .collect();
-        text += &format!("of that beyond retuning: {}\n", parts.join(", "));
+        text += &format!("of that beyond calibration: {}\n", parts.join(", "));
     }
-    text += "\nwhere, after retuning:\n";
+    text += "\nwhere, after calibration:\n";
     for place in diagnosis.places.iter().take(4) {
         text += &format!(
             "  {:>6}  {} in {}, seen in {}\n",
@@ -365,8 +369,8 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
     text += &format!("  {:>6}  none of these\n", percent(diagnosis.unknown_probability));
     text +=
         &format!("  {:>6}  no effect, other parameters at most\n", percent(diagnosis.no_effect_probability));
-    text += "\nparameters as retuned, over the plant file's:\n";
-    for (symbol, value) in &diagnosis.retuned {
+    text += "\nparameters as calibrated, over the plant file's:\n";
+    for (symbol, value) in &diagnosis.calibrated {
         let ratio = value.fitted / value.nominal;
         let ends = value.interval95.map(|end| end / value.nominal);
         text += &format!("  {symbol:<10} {ratio:>6.3}  ({:.3} … {:.3})\n", ends[0], ends[1]);
@@ -375,9 +379,9 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
         let lpm = |area: f64| plant.orifice_flow_m3_per_s(area, 7e6) * LPM_PER_M3_PER_S;
         let leak = &diagnosis.leak;
         text += &format!(
-            "\nleak at 7 MPa: {:.3} L/min by the plant file, {:.3} retuned, {:.3} as chosen\n",
+            "\nleak at 7 MPa: {:.3} L/min by the plant file, {:.3} calibrated, {:.3} as chosen\n",
             lpm(leak.nominal_m2),
-            lpm(leak.retuned_m2),
+            lpm(leak.calibrated_m2),
             lpm(leak.chosen_m2)
         );
     }

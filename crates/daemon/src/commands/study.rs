@@ -50,7 +50,7 @@ pub fn run(arguments: &StudyArguments) -> Result<Outcome, Failure> {
             .map_err(|error| Failure::new(Code::Internal, format!("writing the study as JSON: {error}")))?;
         print(format!("{text}\n").as_bytes())?;
     } else {
-        print(page.verdicts().as_bytes())?;
+        print(page.outcomes().as_bytes())?;
         print(format!("\npage: {}\n", arguments.out.display()).as_bytes())?;
     }
     Ok(Outcome::Good)

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use maud::{Markup, html};
 use seepd_gap::Diagnosis;
-use seepd_gap::report::EffectFinding;
+use seepd_gap::report::RankedEffect;
 use seepd_sim::PlantParameters;
 
 use super::chart::{Axis, Chart, Layer};
@@ -47,12 +47,12 @@ impl GapPage<'_> {
                 h2 { "Why" }
                 (self.ranking())
                 h2 { "Where" }
-                p.soft { "Shares of the imbalance that is left after retuning, by equation and phase of the duty cycle." }
+                p.soft { "Shares of the imbalance that is left after calibration, by equation and phase of the duty cycle." }
                 (self.places())
                 h2 { "Log and simulations over a cycle" }
                 @for index in 0..found.signals.len() { (self.overlay(index)) }
-                h2 { "The plant's own parameters, retuned" }
-                (self.retuned())
+                h2 { "The plant's own parameters, calibrated" }
+                (self.calibrated())
                 @if let Some(plant) = self.plant {
                     h2 { "What becomes of the leak estimate" }
                     (self.leak(plant))
@@ -70,14 +70,14 @@ impl GapPage<'_> {
         page("Simulator and machine – seepd", &body)
     }
 
-    /// Gap by signal: nominal, retuned, chosen, floor.
+    /// Gap by signal: nominal, calibrated, chosen, floor.
     fn waterfall(&self) -> Markup {
         let gap = &self.diagnosis.gap;
         let of = |map: &BTreeMap<&'static str, f64>, signal: &str| map.get(signal).copied().unwrap_or(0.0);
         let rows = |signal: &'static str| {
             [
                 ("nominal", of(&gap.nominal, signal), "var(--severe)"),
-                ("retuned", of(&gap.retuned, signal), "var(--watch)"),
+                ("calibrated", of(&gap.calibrated, signal), "var(--watch)"),
                 ("chosen", of(&gap.chosen, signal), "var(--healthy)"),
                 ("floor", of(&self.diagnosis.floor, signal), "var(--no_estimate)"),
             ]
@@ -86,10 +86,10 @@ impl GapPage<'_> {
         let largest = all.fold(1e-6, f64::max);
         let shrink = &self.diagnosis.shrink;
         html! {
-            p { "Retuning alone removes " (percent(shrink.retune_only)) " of what can be removed, the chosen machine " (percent(shrink.of_removable))
+            p { "Calibration alone removes " (percent(shrink.calibration_only)) " of what can be removed, the chosen machine " (percent(shrink.of_removable))
                 " (" (percent(shrink.of_total)) " of the whole)." }
             @if shrink.by_effect.len() > 1 { table.bars { tbody {
-                tr { td { "retuning" } td.number { (percent(shrink.retune_only)) } td.grow { (bar(shrink.retune_only, "var(--watch)")) } }
+                tr { td { "calibration" } td.number { (percent(shrink.calibration_only)) } td.grow { (bar(shrink.calibration_only, "var(--watch)")) } }
                 @for (effect, part) in &shrink.by_effect { tr {
                     td { (effect) } td.number { (percent(*part)) } td.grow { (bar(*part, "var(--healthy)")) }
                 } }
@@ -107,7 +107,7 @@ impl GapPage<'_> {
 
     fn ranking(&self) -> Markup {
         let found = self.diagnosis;
-        let named = |finding: &&EffectFinding| finding.probability >= 0.005;
+        let named = |finding: &&RankedEffect| finding.probability >= 0.005;
         html! { table.bars {
             thead { tr { th { "Cause" } th.number { "probability" } th {} th { "values (95 %)" } th.number { "removes" } } }
             tbody {
@@ -147,10 +147,10 @@ impl GapPage<'_> {
             |values: &Vec<f64>| -> Vec<f64> { values.iter().zip(recorded).map(|(a, b)| a - b).collect() };
         let empty = Vec::new();
         let of = |view: &Vec<Vec<f64>>| view.get(index).unwrap_or(&empty).clone();
-        let (nominal, retuned, chosen) = (of(&curves.nominal), of(&curves.retuned), of(&curves.chosen));
+        let (nominal, calibrated, chosen) = (of(&curves.nominal), of(&curves.calibrated), of(&curves.chosen));
         let end = curves.phases.last().map_or(10.0, |phase| phase.2);
         let time = || Axis::linear("time in the cycle, s", 0.0, end);
-        let differences = [less(&nominal), less(&retuned), less(&chosen)];
+        let differences = [less(&nominal), less(&calibrated), less(&chosen)];
         // A short phase has no room for its name.
         let named = |from: f64, to: f64| to - from > SPAN_WITH_ROOM * end;
         let marks = || {
@@ -184,7 +184,7 @@ impl GapPage<'_> {
             ],
             key: vec![
                 ("nominal less log".into(), "var(--soft)", false),
-                ("retuned less log".into(), "var(--b)", false),
+                ("calibrated less log".into(), "var(--b)", false),
                 ("chosen less log".into(), "var(--a)", false),
             ],
             ..Chart::new(signal, time(), spanning("difference", differences.iter().flatten()))
@@ -192,10 +192,10 @@ impl GapPage<'_> {
         html! { h3 { (signal) } (together.render()) (apart.render()) }
     }
 
-    fn retuned(&self) -> Markup {
+    fn calibrated(&self) -> Markup {
         html! { div.scroll { table {
-            thead { tr { th { "Parameter" } th.number { "plant file" } th.number { "retuned" } th.number { "ratio" } th.number { "95 %" } } }
-            tbody { @for (symbol, value) in &self.diagnosis.retuned { tr {
+            thead { tr { th { "Parameter" } th.number { "plant file" } th.number { "calibrated" } th.number { "ratio" } th.number { "95 %" } } }
+            tbody { @for (symbol, value) in &self.diagnosis.calibrated { tr {
                 td { (symbol) }
                 td.number { (format!("{:.4e}", value.nominal)) }
                 td.number { (format!("{:.4e}", value.fitted)) }
@@ -209,7 +209,7 @@ impl GapPage<'_> {
         let lpm = |area: f64| plant.orifice_flow_m3_per_s(area, REFERENCE_DP_PA) * LPM_PER_M3_PER_S;
         let leak = &self.diagnosis.leak;
         let rows =
-            [("plant file", leak.nominal_m2), ("retuned", leak.retuned_m2), ("chosen", leak.chosen_m2)];
+            [("plant file", leak.nominal_m2), ("calibrated", leak.calibrated_m2), ("chosen", leak.chosen_m2)];
         html! { table {
             thead { tr { th { "By" } th.number { "area, m²" } th.number { "L/min at " (REFERENCE_DP_PA / 1e6) " MPa" } } }
             tbody { @for (name, area) in rows { tr {

@@ -2,11 +2,11 @@
 
 use maud::{Markup, html};
 use seepd_study::Study;
+use seepd_study::claims::Agreement;
 use seepd_study::cycles::REFERENCE_DP_PA;
 use seepd_study::ensemble::{Accuracy, LEARNERS, OBSERVATIONS};
 use seepd_study::features::{FIVE, FeatureCurve};
 use seepd_study::holding::{ACCURATE_WITHIN_M, ARTICLE_LPM};
-use seepd_study::verdict::Agreement;
 
 use super::chart::{Axis, Chart, Layer, Size, number};
 use super::page;
@@ -22,8 +22,8 @@ pub struct StudyPage<'a> {
 
 impl StudyPage<'_> {
     /// A line a figure, for the terminal.
-    pub fn verdicts(&self) -> String {
-        let lines = self.study.verdicts.iter();
+    pub fn outcomes(&self) -> String {
+        let lines = self.study.claims.iter();
         lines
             .map(|verdict| format!("{}: {}. {}\n", verdict.figure, verdict.agreement.name(), verdict.text))
             .collect()
@@ -74,7 +74,7 @@ impl StudyPage<'_> {
     }
 
     fn verdict(&self, figure: &str) -> Markup {
-        let verdict = self.study.verdicts.iter().find(|verdict| verdict.figure == figure);
+        let verdict = self.study.claims.iter().find(|verdict| verdict.figure == figure);
         html! { @if let Some(verdict) = verdict {
             @let colour = match verdict.agreement {
                 Agreement::Agrees => "var(--healthy)", Agreement::Partly => "var(--watch)", Agreement::Differs => "var(--severe)",

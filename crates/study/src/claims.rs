@@ -40,9 +40,9 @@ impl Agreement {
     }
 }
 
-/// What is said of a figure.
+/// What became of what the article claims of a figure.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Verdict {
+pub struct ClaimOutcome {
     /// `figure 2` and so on.
     pub figure: &'static str,
     /// How far it agrees.
@@ -54,8 +54,8 @@ pub struct Verdict {
 /// A curve that is nearly only rising or falling, by its rank correlation.
 const MONOTONIC: f64 = 0.98;
 
-/// The verdicts in the article's order.
-pub(crate) fn verdicts(study: &Study) -> Vec<Verdict> {
+/// The outcome of each claim, in the article's order.
+pub(crate) fn outcomes(study: &Study) -> Vec<ClaimOutcome> {
     vec![
         load_and_demand(study),
         command(study),
@@ -67,14 +67,14 @@ pub(crate) fn verdicts(study: &Study) -> Vec<Verdict> {
     ]
 }
 
-fn load_and_demand(study: &Study) -> Verdict {
+fn load_and_demand(study: &Study) -> ClaimOutcome {
     let healthy = &study.cycles[0];
     let range = |values: &[f64]| {
         let low = values.iter().copied().fold(f64::INFINITY, f64::min);
         (low, values.iter().copied().fold(f64::NEG_INFINITY, f64::max))
     };
     let ((low_m, high_m), (low_n, high_n)) = (range(&healthy.demand_m), range(&healthy.load_n));
-    Verdict {
+    ClaimOutcome {
         figure: "figure 2",
         agreement: Agreement::Agrees,
         text: format!(
@@ -86,7 +86,7 @@ fn load_and_demand(study: &Study) -> Verdict {
     }
 }
 
-fn command(study: &Study) -> Verdict {
+fn command(study: &Study) -> ClaimOutcome {
     let healthy = &study.cycles[0].command;
     let apart: Vec<f64> = study.cycles[1..]
         .iter()
@@ -97,7 +97,7 @@ fn command(study: &Study) -> Verdict {
         .collect();
     let growing = apart.windows(2).all(|pair| pair[1] > pair[0]);
     let (first, last) = (apart[0], apart[apart.len() - 1]);
-    Verdict {
+    ClaimOutcome {
         figure: "figure 5",
         agreement: if growing { Agreement::Agrees } else { Agreement::Differs },
         text: format!(
@@ -107,13 +107,13 @@ fn command(study: &Study) -> Verdict {
     }
 }
 
-fn leak_rate(study: &Study) -> Verdict {
+fn leak_rate(study: &Study) -> ClaimOutcome {
     let rates = &study.leak_rates;
     let (first, last) = (&rates[0], &rates[rates.len() - 1]);
     let exponent = (last.mean_lpm / first.mean_lpm).ln() / (last.leak_area_m2 / first.leak_area_m2).ln();
     let proportional = (0.9..=1.1).contains(&exponent);
     let as_large = last.peak_lpm <= 1.5 * ARTICLE_LPM;
-    Verdict {
+    ClaimOutcome {
         figure: "figure 6",
         agreement: Agreement::of(proportional, as_large),
         text: format!(
@@ -131,7 +131,7 @@ fn leak_rate(study: &Study) -> Verdict {
     }
 }
 
-fn features(study: &Study) -> Verdict {
+fn features(study: &Study) -> ClaimOutcome {
     let curves = &study.features.curves;
     let of = |name: &str| curves.iter().find(|curve| curve.name == name);
     let is_monotonic = |name: &&&str| of(name).is_some_and(|curve| curve.rank_correlation.abs() >= MONOTONIC);
@@ -145,7 +145,7 @@ fn features(study: &Study) -> Verdict {
     let list =
         |names: &[&&str]| names.iter().map(|name| name.replace('_', " ")).collect::<Vec<_>>().join(", ");
     let correlations = tsne.iter().map(|value| format!("{value:.2}")).collect::<Vec<_>>().join(" and ");
-    Verdict {
+    ClaimOutcome {
         figure: "figure 7",
         agreement: Agreement::of(others.is_empty(), !steady),
         text: format!(
@@ -173,13 +173,13 @@ fn errors(list: &[Accuracy], study: &Study) -> Option<(f64, f64)> {
     Some((at(first)?, at(last)?))
 }
 
-fn noise(study: &Study) -> Verdict {
+fn noise(study: &Study) -> ClaimOutcome {
     let growth = |list| errors(list, study).map_or(f64::NAN, |(first, last)| last / first);
     let without = growth(&study.ensembles.article_unfiltered);
     let with = growth(&study.ensembles.accuracy);
     let largest =
         |which: usize| study.noise.change.iter().map(|change| 100.0 * change[which]).fold(0.0, f64::max);
-    Verdict {
+    ClaimOutcome {
         figure: "figures 8 and 9",
         agreement: if with < without { Agreement::Agrees } else { Agreement::Differs },
         text: format!(
@@ -192,7 +192,7 @@ fn noise(study: &Study) -> Verdict {
     }
 }
 
-fn ensembles(study: &Study) -> Verdict {
+fn ensembles(study: &Study) -> ClaimOutcome {
     let list = &study.ensembles.accuracy;
     let of = |ensemble, machines| accuracy(list, ensemble, machines, study.noise.noise[0]);
     let percent = |line: Option<&Accuracy>| {
@@ -206,7 +206,7 @@ fn ensembles(study: &Study) -> Verdict {
         lpm.map_or("no size".into(), |lpm| format!("{lpm:.2} L/min at {} MPa", REFERENCE_DP_PA / 1e6))
     };
     let r2 = of("article", "press").map_or(f64::NAN, |line| line.r2);
-    Verdict {
+    ClaimOutcome {
         figure: "ensemble",
         agreement: if r2 > 0.99 { Agreement::Agrees } else { Agreement::Differs },
         text: format!(
@@ -227,10 +227,10 @@ fn ensembles(study: &Study) -> Verdict {
     }
 }
 
-fn holding(study: &Study) -> Verdict {
+fn holding(study: &Study) -> ClaimOutcome {
     let holding = &study.holding;
     let near = |lpm: f64| (0.5 * ARTICLE_LPM..=2.0 * ARTICLE_LPM).contains(&lpm);
-    Verdict {
+    ClaimOutcome {
         figure: "largest leak held",
         agreement: Agreement::of(near(holding.accurate.orifice_lpm), near(holding.in_control.orifice_lpm)),
         text: format!(

@@ -7,15 +7,15 @@ use seepd_sim::DutyCycle;
 use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::{EffectInfo, Parameter};
 
-use crate::record::Cycle;
-use crate::simulate::View;
+use crate::record::RecordedCycle;
+use crate::simulate::BinnedSignals;
 
 /// Values of effects by effect and parameter.
-pub type Values = BTreeMap<String, BTreeMap<String, f64>>;
+pub type EffectValues = BTreeMap<String, BTreeMap<String, f64>>;
 
 /// A parameter that a fit may change.
 #[derive(Debug, Clone, Copy)]
-pub struct Tunable {
+pub struct CalibratedParameter {
     /// Key in the plant file.
     pub key: &'static str,
     /// Symbol in reports.
@@ -41,23 +41,23 @@ pub enum Scale {
 pub type Imbalances = Vec<(&'static str, Vec<f64>)>;
 
 /// A plant with its controller and duty cycle: parameters with bounds, effects, balances, simulation.
-pub trait Axis: Clone + Send + Sync {
+pub trait SimulatedAxis: Clone + Send + Sync {
     /// Effects that can be added to it.
     fn catalogue() -> Vec<&'static EffectInfo>;
     /// Signals that are compared where a log has them; command and position first.
     fn signals() -> &'static [Signal];
-    /// Parameters that retuning may change.
-    fn tunables(&self) -> Vec<Tunable>;
+    /// Parameters that calibration may change.
+    fn calibrated_parameters(&self) -> Vec<CalibratedParameter>;
     /// The parameter that wear changes: it is fitted in every machine, and no gap.
-    fn wear(&self) -> Option<Tunable>;
+    fn wear(&self) -> Option<CalibratedParameter>;
     /// A parameter's value; NaN for a key that it lacks.
     fn parameter(&self, key: &str) -> f64;
     /// Sets a parameter; nothing for a key that it lacks.
     fn set_parameter(&mut self, key: &str, value: f64);
     /// Its effects.
-    fn effects(&self) -> &Values;
+    fn effects(&self) -> &EffectValues;
     /// Its effects, to change.
-    fn effects_mut(&mut self) -> &mut Values;
+    fn effects_mut(&mut self) -> &mut EffectValues;
     /// An effect's parameter's range on this machine.
     fn range(&self, effect: &EffectInfo, parameter: &Parameter) -> (f64, f64);
     /// Whether an effect's parameter changes anything on this machine.
@@ -73,9 +73,14 @@ pub trait Axis: Clone + Send + Sync {
     fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Vec<f64>;
     /// Simulates machines along a drive, closed loop, and bins what they show after the first `warm_up` ticks. A simulation that goes out
     /// of bounds shows NaN.
-    fn run(machines: &[Self], drive: &[DriveSample], warm_up: usize, signals: &[Signal]) -> Vec<View>;
+    fn run(
+        machines: &[Self],
+        drive: &[DriveSample],
+        warm_up: usize,
+        signals: &[Signal],
+    ) -> Vec<BinnedSignals>;
     /// The balances that the signals allow.
-    fn imbalances(&self, signals: &[Signal], view: &View) -> Imbalances;
+    fn imbalances(&self, signals: &[Signal], view: &BinnedSignals) -> Imbalances;
     /// What about a cycle cannot be on such an axis, in a sentence.
-    fn contradiction(&self, signals: &[Signal], cycle: &Cycle) -> Option<String>;
+    fn contradiction(&self, signals: &[Signal], cycle: &RecordedCycle) -> Option<String>;
 }
