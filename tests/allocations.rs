@@ -2,20 +2,20 @@
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock};
 
 use allocation_counter::{AllocationInfo, measure};
-use seepd::alarm::AlarmConfig;
-use seepd::baseline::Finding;
-use seepd::event::Event;
-use seepd::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use seepd_model::Model;
+use seepd_monitor::baseline::CusumFinding;
+use seepd_monitor::event::Event;
+use seepd_monitor::pipeline::{DutyCycle, MonitorConfig, Pipeline};
 use seepd_signals::{Sample, Signal};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::{Input, Machine, MachineSpec, Schedule};
 
-static MODEL: LazyLock<Model> = LazyLock::new(|| Model::from_json(seepd::EMBEDDED_MODEL).unwrap());
+static MODEL: LazyLock<Arc<Model>> =
+    LazyLock::new(|| Arc::new(Model::from_json(seepd::EMBEDDED_MODEL).unwrap()));
 
 /// Cycles from which the baseline is learned.
 const LEARNED: usize = 20;
@@ -50,7 +50,7 @@ struct Allocated {
     events: usize,
 }
 
-fn push(pipeline: &mut Pipeline<'_>, samples: &[Sample]) -> Allocated {
+fn push(pipeline: &mut Pipeline, samples: &[Sample]) -> Allocated {
     let mut allocated = Allocated::default();
     for sample in samples {
         let mut events = 0;
@@ -69,17 +69,11 @@ fn push(pipeline: &mut Pipeline<'_>, samples: &[Sample]) -> Allocated {
 }
 
 fn check(names: &[Option<&str>]) {
-    let duty_cycles: Vec<DutyCycle<'_>> =
-        names.iter().map(|name| DutyCycle { name: *name, ..DutyCycle::only(&MODEL) }).collect();
-    let alarm = AlarmConfig::default();
-    let mut pipeline = Pipeline::new(PipelineConfig {
-        axis: "axis",
-        duty_cycles: &duty_cycles,
-        alarm: &alarm,
-        reference_dp_pa: 7e6,
-        operating_hours_per_year: 8760.0,
-    })
-    .unwrap();
+    let duty_cycle =
+        |name: &Option<&str>| DutyCycle { name: name.map(str::to_owned), model: Arc::clone(&MODEL) };
+    let duty_cycles = names.iter().map(duty_cycle).collect();
+    let config = MonitorConfig { duty_cycles, ..MonitorConfig::new("axis", Arc::clone(&MODEL)) };
+    let mut pipeline = Pipeline::new(config).unwrap();
     // Without a baseline.
     let plain = push(&mut pipeline, &SAMPLES[..60_000]);
     assert!(plain.events >= 5, "{}", plain.events);
@@ -89,7 +83,7 @@ fn check(names: &[Option<&str>]) {
     let (learning, following) = SAMPLES[60_000..].split_at(10_000 * (LEARNED + 1));
     assert_eq!(push(&mut pipeline, learning).silent, 0);
     let following = push(&mut pipeline, following);
-    assert_eq!(pipeline.finding(), Finding::Leak);
+    assert_eq!(pipeline.finding(), CusumFinding::Leak);
     assert!(following.events >= 25, "{}", following.events);
     assert_eq!((following.silent, following.kept), (0, 0));
     // The fit of the growth, twice, with at most 48 points: up to 1,128 slopes between them. (More than 0: the counter counts.)

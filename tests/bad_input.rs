@@ -9,9 +9,9 @@ use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-use seepd::config::Config;
-use seepd::source::Source;
-use seepd::source::mcap::McapSource;
+use seepd_logs::LogMapping;
+use seepd_logs::McapSource;
+use seepd_logs::Source;
 use seepd_signals::Signal;
 use support::{estimates, fixture, reasons, replay, seepd, simulate, stderr, summary};
 
@@ -133,8 +133,7 @@ fn endless_topic_is_passed_over_without_memory() {
 
 /// Time and command of every sample that a log gives, however it ends.
 fn samples_of(bytes: &[u8]) -> Vec<(i64, u64)> {
-    let config = Config::default();
-    let Ok(mut source) = McapSource::new(Cursor::new(bytes), "log", config.mapping()) else {
+    let Ok(mut source) = McapSource::new(Cursor::new(bytes), "log", LogMapping::default().places()) else {
         return Vec::new();
     };
     let mut samples = Vec::new();

@@ -9,9 +9,9 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use seepd::can::Frame;
-use seepd::can::candump::Line;
-use seepd::can::dbc::{Dbc, Reading};
+use seepd_logs::can::Frame;
+use seepd_logs::can::candump::Line;
+use seepd_logs::can::dbc::{Dbc, Reading};
 use seepd_signals::Signal;
 use serde_json::Value;
 use support::{estimates, fixture, replay, seepd, simulate, stderr, stdout, summary};
@@ -79,7 +79,7 @@ fn hex(bytes: &[u8]) -> String {
 
 /// The signals of a simulated log, read through the library.
 fn rows_of(log: &Path) -> Vec<[f64; 4]> {
-    let mut source = seepd::source::open(log, &seepd::config::Config::default()).unwrap();
+    let mut source = seepd_logs::open(log, &seepd_logs::LogMapping::default()).unwrap();
     let mut rows = Vec::new();
     while let Some(sample) = source.next_sample().unwrap() {
         let of = |signal| sample.get(signal).unwrap();
@@ -148,7 +148,8 @@ fn every_dbc_fixture_is_read() {
         let path = entry.unwrap().path();
         let dbc = Dbc::read(&path).unwrap();
         for name in dbc.names() {
-            if let Err(message) = dbc.find(&name) {
+            if let Err(error) = dbc.find(&name) {
+                let message = error.to_string();
                 assert!(
                     text_of(&path).ends_with("bad_message_length.dbc")
                         || message.contains("is in the message"),
@@ -159,7 +160,11 @@ fn every_dbc_fixture_is_read() {
     }
     let broken = Dbc::read(&fixture("can/dbc/bad_message_length.dbc")).unwrap();
     assert!(
-        broken.find("Signal1").unwrap_err().contains("ends in byte 2 of the message Message1, which has 1")
+        broken
+            .find("Signal1")
+            .unwrap_err()
+            .to_string()
+            .contains("ends in byte 2 of the message Message1, which has 1")
     );
 }
 

@@ -6,7 +6,7 @@ mod support;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use seepd::config::Config;
+use seepd::config::{AxisConfig, DaemonConfig};
 use seepd_sim::MachineSpec;
 
 fn root() -> PathBuf {
@@ -30,24 +30,24 @@ fn documented_plant_file_is_the_default_in_full() {
 fn configuration_in_the_readme_reads() {
     let readme = fs::read_to_string(root().join("README.md")).unwrap();
     let block = readme.split("```toml").nth(1).unwrap().split("```").next().unwrap();
-    let config = Config::parse(block).unwrap();
-    assert_eq!(config.alarm, Config::default().alarm);
-    assert_eq!(config.signals.len(), 1);
+    let config = DaemonConfig::parse(block).unwrap();
+    assert_eq!(config.axes[0].alarm, AxisConfig::default().alarm);
+    assert_eq!(config.axes[0].signals.len(), 1);
 }
 
 #[test]
 fn configuration_of_the_live_guide_and_of_the_package_read() {
     let guide = fs::read_to_string(root().join("docs/live.md")).unwrap();
     let block = guide.split("```toml").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
-    let config = Config::parse(block).unwrap();
-    assert!(config.http.is_some() && config.mqtt.is_some() && config.recording.is_some());
-    assert_eq!(config.can_out.len(), 1);
+    let config = DaemonConfig::parse(block).unwrap();
+    assert!(config.sinks.http.is_some() && config.sinks.mqtt.is_some() && config.sinks.recording.is_some());
+    assert_eq!(config.sinks.can_out.len(), 1);
     let shipped = fs::read_to_string(root().join("packaging/seepd.toml")).unwrap();
-    assert_eq!(Config::parse(&shipped).unwrap().source.can.as_deref(), Some("can0"));
+    assert_eq!(DaemonConfig::parse(&shipped).unwrap().axes[0].source.can.as_deref(), Some("can0"));
     // What is commented out there reads too.
     let all: String = shipped.lines().map(uncommented).collect::<Vec<_>>().join("\n");
-    let config = Config::parse(&all).unwrap_or_else(|message| panic!("{message}: {all}"));
-    assert!(config.mqtt.is_some_and(|mqtt| mqtt.tls) && config.can_out.len() == 1);
+    let config = DaemonConfig::parse(&all).unwrap_or_else(|message| panic!("{message}: {all}"));
+    assert!(config.sinks.mqtt.is_some_and(|mqtt| mqtt.tls) && config.sinks.can_out.len() == 1);
 }
 
 /// A line of which a comment that is a key or a table is taken as such.

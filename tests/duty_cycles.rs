@@ -17,8 +17,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-use seepd::config::Config;
-use seepd::source;
+use seepd_logs::LogMapping;
 use seepd_signals::Signal;
 use serde_json::Value;
 use support::{seepd, simulate, stderr, stdout};
@@ -137,7 +136,7 @@ impl Place {
                 ]
                 .concat(),
             );
-            let mut source = source::open(&log, &Config::default()).unwrap();
+            let mut source = seepd_logs::open(&log, &LogMapping::default()).unwrap();
             while let Some(sample) = source.next_sample().unwrap() {
                 if let Some(command) = sample.get(Signal::Command) {
                     writeln!(rows, "{},{command:.5}", f64::from(number) / 1e3).unwrap();

@@ -16,10 +16,10 @@ use prost_reflect::prost_types::{
 };
 use prost_reflect::{DescriptorPool, DynamicMessage, Value};
 use re_cdr::{CdrWriter, LittleEndian};
-use seepd::config::{Config, Selection, SignalMapping};
-use seepd::source::Source;
-use seepd::source::mcap::McapSource;
-use seepd::source::survey::{FieldSurvey, survey};
+use seepd_logs::McapSource;
+use seepd_logs::Source;
+use seepd_logs::survey::{FieldSurvey, survey};
+use seepd_logs::{LogError, LogMapping, Selection, SignalMapping};
 use seepd_signals::Signal;
 use support::{fixture, python, replay, simulate};
 
@@ -251,7 +251,7 @@ fn definition_that_refers_to_itself_is_followed_only_so_far() {
 fn default_mapping_does_not_trip_over_other_topics() {
     let bytes =
         log(("std_msgs/msg/String", "ros2msg", b"string data"), "cdr", &[vec![0, 1, 0, 0, 0, 0, 0, 0]]);
-    let mut source = McapSource::new(Cursor::new(bytes), "log", Config::default().mapping()).unwrap();
+    let mut source = McapSource::new(Cursor::new(bytes), "log", LogMapping::default().places()).unwrap();
     let text = source.next_sample().unwrap_err().to_string();
     assert!(text.contains("the log holds /plc (cdr, 1 messages)"), "{text}");
 }
@@ -302,22 +302,22 @@ fn every_log_of_others_is_read_or_refused_with_what_it_holds() {
         // The synthetic logs have a command; nothing else here is an axis.
         let selection =
             Selection { topic: Some("/axis/sample".into()), command: Some("valve_command".into()) };
-        let config = Config { selection, ..Config::default() };
-        let mut source = seepd::source::open(&path, &config).unwrap();
+        let mapping = LogMapping { selection, ..LogMapping::default() };
+        let mut source = seepd_logs::open(&path, &mapping).unwrap();
         let mut samples = 0;
         let end = loop {
             match source.next_sample() {
                 Ok(Some(_)) => samples += 1,
                 Ok(None) => break Ok(()),
-                Err(failure) => break Err(failure),
+                Err(error) => break Err(error),
             }
         };
         match end {
             Ok(()) => assert_eq!(samples, topics["/axis/sample"].messages, "{name}"),
-            Err(failure) => {
-                assert!(!topics.contains_key("/axis/sample"), "{failure}");
-                let message = failure.to_string();
-                assert_eq!((failure.code as u8, message.lines().count()), (65, 1), "{message}");
+            Err(error) => {
+                assert!(!topics.contains_key("/axis/sample"), "{error}");
+                let message = error.to_string();
+                assert!(matches!(error, LogError::Data { .. }) && message.lines().count() == 1, "{message}");
                 for (topic, expected) in &topics {
                     let told = format!("{topic} ({}, {} messages)", expected.encoding, expected.messages);
                     assert!(message.contains(&told), "{name}: {message}");
@@ -338,11 +338,11 @@ fn an_encoding_that_is_not_read_is_named() {
         ("rust_crate/compressed.mcap", "/tf", "has the message encoding `ros1`"),
         ("conformance/TenMessages.mcap", "example", "has the message encoding `a`"),
     ] {
-        let mut config = Config::default();
-        config.selection.topic = Some(topic.into());
-        let mut source = seepd::source::open(&fixture("mcap").join(file), &config).unwrap();
-        let failure = source.next_sample().unwrap_err();
-        assert!(failure.message.contains(told), "{failure}");
+        let mut mapping = LogMapping::default();
+        mapping.selection.topic = Some(topic.into());
+        let mut source = seepd_logs::open(&fixture("mcap").join(file), &mapping).unwrap();
+        let error = source.next_sample().unwrap_err().to_string();
+        assert!(error.contains(told), "{error}");
     }
 }
 
@@ -374,7 +374,7 @@ print(json.dumps(found))";
     assert_eq!(signals["schema"], "seepd.Signals");
     let commands: Vec<f64> =
         signals["values"].as_array().unwrap().iter().map(|v| v["command"].as_f64().unwrap()).collect();
-    let mut source = seepd::source::open(&log, &Config::default()).unwrap();
+    let mut source = seepd_logs::open(&log, &LogMapping::default()).unwrap();
     let mut ours = Vec::new();
     while let Some(sample) = source.next_sample().unwrap() {
         assert_eq!(signals["times"][ours.len()].as_i64(), Some(sample.time_ns));

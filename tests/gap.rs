@@ -7,7 +7,7 @@ mod support;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use seepd::config::Config;
+use seepd_logs::LogMapping;
 use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
 use seepd_sim::electric::ElectricAxis;
@@ -41,7 +41,7 @@ fn assert_consistent(diagnosis: &Value) {
 
 /// A log whose signals are written anew as CSV: each row's time, command, position, demand, load, cap and rod pressure.
 fn rewritten(folder: &Path, log: &Path, change: impl Fn(usize, &mut [f64; 7]) -> bool) -> PathBuf {
-    let mut source = seepd::source::open(log, &Config::default()).unwrap();
+    let mut source = seepd_logs::open(log, &LogMapping::default()).unwrap();
     let mut text = String::from("t_s,command,position,demand,load,p_cap,p_rod\n");
     let mut number = 0;
     while let Some(sample) = source.next_sample().unwrap() {

@@ -6,10 +6,9 @@
 use std::sync::LazyLock;
 
 use rayon::prelude::*;
-use seepd::alarm::AlarmConfig;
-use seepd::event::{Event, Flag};
-use seepd::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use seepd_model::Model;
+use seepd_monitor::event::{Event, Flag};
+use seepd_monitor::pipeline::{MonitorConfig, Pipeline};
 use seepd_signals::Sample;
 use seepd_sim::MachineSpec;
 use seepd_sim::batch::{Job, run_lanes};
@@ -142,16 +141,9 @@ fn no_flag_in(stretch_cycles: usize) {
 
 /// Cycles with an estimate of each lane; panics where a flag rises.
 fn watch(model: &Model, jobs: &[Job], batch: u64) -> Vec<u64> {
-    let (duty_cycles, alarm) = ([DutyCycle::only(model)], AlarmConfig::default());
-    let config = PipelineConfig {
-        axis: "axis",
-        duty_cycles: &duty_cycles,
-        alarm: &alarm,
-        reference_dp_pa: 7e6,
-        operating_hours_per_year: 8760.0,
-    };
-    let mut lanes: Vec<(Pipeline<'_>, Noise, i64, u64)> = (0..LANES as u64)
-        .map(|lane| (Pipeline::new(config).unwrap(), Noise::new(78, batch * 8 + lane), 0, 0))
+    let config = MonitorConfig::new("axis", model.clone());
+    let mut lanes: Vec<(Pipeline, Noise, i64, u64)> = (0..LANES as u64)
+        .map(|lane| (Pipeline::new(config.clone()).unwrap(), Noise::new(78, batch * 8 + lane), 0, 0))
         .collect();
     run_lanes(jobs, |lane, record| {
         let (pipeline, noise, time_ns, cycles) = &mut lanes[lane];

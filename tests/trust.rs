@@ -6,11 +6,10 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use rayon::prelude::*;
-use seepd::alarm::AlarmConfig;
-use seepd::baseline::{Baseline, Finding};
-use seepd::event::Event;
-use seepd::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use seepd_model::Model;
+use seepd_monitor::baseline::{Baseline, CusumFinding};
+use seepd_monitor::event::Event;
+use seepd_monitor::pipeline::{MonitorConfig, Pipeline};
 use seepd_signals::{Sample, Signal};
 use seepd_sim::batch::{Job, run_lanes};
 use seepd_sim::cycle::CycleRun;
@@ -75,14 +74,7 @@ struct Course {
 
 /// Runs machines in lanes over their days; each is followed from its baseline, or learns one.
 fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool) -> Vec<Course> {
-    let (duty_cycles, alarm) = ([DutyCycle::only(model)], AlarmConfig::default());
-    let config = PipelineConfig {
-        axis: "axis",
-        duty_cycles: &duty_cycles,
-        alarm: &alarm,
-        reference_dp_pa: 7e6,
-        operating_hours_per_year: 8760.0,
-    };
+    let config = MonitorConfig::new("axis", model.clone());
     machines
         .par_chunks(LANES)
         .flat_map_iter(|machines| {
@@ -90,10 +82,10 @@ fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool
             let steps = jobs.iter().map(|job| job.spec.controller.steps_per_period).max().unwrap_or(10);
             jobs.iter_mut().for_each(|job| job.spec.controller.steps_per_period = steps);
             let truths: Vec<f64> = machines.iter().map(|(_, day, _)| day.leak_area_m2).collect();
-            let mut lanes: Vec<(Pipeline<'_>, Noise, i64, Course)> = machines
+            let mut lanes: Vec<(Pipeline, Noise, i64, Course)> = machines
                 .iter()
                 .map(|(number, day, baseline)| {
-                    let mut pipeline = Pipeline::new(config).unwrap();
+                    let mut pipeline = Pipeline::new(config.clone()).unwrap();
                     match baseline {
                         Some(baseline) => pipeline.monitors_mut()[0].follow(baseline.clone()),
                         None => pipeline.learn("test", BASELINE_CYCLES).unwrap(),
@@ -116,7 +108,10 @@ fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool
                     course.estimates_m2.extend(line.leak_area_m2);
                     let holds = |[low, high]: [f64; 2]| (low..=high).contains(&truths[lane]);
                     course.covered += usize::from(line.interval90_m2.is_some_and(holds));
-                    if line.comparison.as_ref().is_some_and(|comparison| comparison.finding == Finding::Leak)
+                    if line
+                        .comparison
+                        .as_ref()
+                        .is_some_and(|comparison| comparison.finding == CusumFinding::Leak)
                     {
                         course.found_after.get_or_insert(course.cycles);
                     }

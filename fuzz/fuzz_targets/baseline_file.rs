@@ -2,7 +2,7 @@
 #![no_main]
 use std::sync::LazyLock;
 
-use seepd::baseline::BaselineFile;
+use seepd_monitor::baseline::BaselineFile;
 use seepd_model::{Comparison, Model};
 
 static MODEL: LazyLock<Model> = LazyLock::new(|| Model::from_json(seepd::EMBEDDED_MODEL).expect("the program's own"));

@@ -1,16 +1,17 @@
 //! Frames as a CAN socket gives them, read by bit layout with a counter; what is parsed is written back.
 #![no_main]
-use seepd::can::decode::FrameDecoder;
-use seepd::can::{Content, linux};
-use seepd::config::Config;
+use seepd_logs::can::decode::FrameDecoder;
+use seepd_logs::can::{Content, linux};
+use seepd::config::DaemonConfig;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
-    let config = Config::parse(
+    let config = DaemonConfig::parse(
         "[source]\ncan = \"can0\"\ncounter = { bits = { id = 0x123, start = 60, length = 4 } }\n[signals.command]\nbits = { id = 0x123, \
          start = 0, length = 64, encoding = \"float64\" }\n",
     )
     .expect("a configuration");
-    let Ok(mut decoder) = FrameDecoder::new(config.mapping(), config.source.counter.as_ref(), None) else { return };
+    let mapping = config.axes[0].log_mapping();
+    let Ok(mut decoder) = FrameDecoder::new(mapping.places(), mapping.counter.as_ref(), None) else { return };
     for bytes in data.chunks(linux::FD_BYTES) {
         let Ok(frame) = linux::parse(bytes) else { continue };
         decoder.take(&frame, b"can0", 0);

@@ -1,10 +1,9 @@
 //! A CSV log.
 #![no_main]
-use seepd::config::Config;
-use seepd::source::{Source, csv::CsvSource};
+use seepd_logs::{CsvSource, LogMapping, Source};
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
-    let Ok(mut source) = CsvSource::new(data, "log", &Config::default().mapping(), "t_s", None) else { return };
+    let Ok(mut source) = CsvSource::new(data, "log", &LogMapping::default().places(), "t_s", None) else { return };
     while let Ok(Some(_)) = source.next_sample() {}
     let _ = source.notes();
 });

@@ -1,7 +1,7 @@
 //! A DBC file: every signal that it names, looked up and read from a frame.
 #![no_main]
-use seepd::can::candump::Line;
-use seepd::can::dbc::Dbc;
+use seepd_logs::can::candump::Line;
+use seepd_logs::can::dbc::Dbc;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     let Ok(dbc) = Dbc::parse(data, "fuzzed.dbc") else { return };

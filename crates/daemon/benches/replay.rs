@@ -3,11 +3,8 @@
 use std::io::Cursor;
 
 use divan::counter::ItemsCount;
-use seepd::alarm::AlarmConfig;
-use seepd::config::Config;
-use seepd::pipeline::{DutyCycle, Pipeline, PipelineConfig};
-use seepd::source::Source;
-use seepd::source::mcap::McapSource;
+use seepd_logs::{LogMapping, McapSource, Source};
+use seepd_monitor::pipeline::{MonitorConfig, Pipeline};
 
 fn main() {
     divan::main();
@@ -30,20 +27,12 @@ fn log(command_only: bool) -> Vec<u8> {
 
 fn replay(bencher: divan::Bencher<'_, '_>, command_only: bool) {
     let bytes = log(command_only);
-    let config = Config::default();
     let model = seepd::config::embedded_model().expect("the embedded model");
-    let (duty_cycles, alarm) = ([DutyCycle::only(&model)], AlarmConfig::default());
-    let config = PipelineConfig {
-        axis: "axis",
-        duty_cycles: &duty_cycles,
-        alarm: &alarm,
-        reference_dp_pa: config.reference_dp_pa,
-        operating_hours_per_year: config.operating_hours_per_year,
-    };
+    let config = MonitorConfig::new("axis", model);
     bencher.counter(ItemsCount::new(200_000usize)).bench_local(|| {
         let mut source =
-            McapSource::new(Cursor::new(&bytes[..]), "log", Config::default().mapping()).expect("a log");
-        let mut pipeline = Pipeline::new(config).expect("the embedded model");
+            McapSource::new(Cursor::new(&bytes[..]), "log", LogMapping::default().places()).expect("a log");
+        let mut pipeline = Pipeline::new(config.clone()).expect("the embedded model");
         let mut cycles = 0;
         while let Some(sample) = source.next_sample().expect("samples") {
             pipeline.push(&sample, &mut |_| cycles += 1);

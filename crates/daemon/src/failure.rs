@@ -5,6 +5,7 @@ use std::io;
 use std::path::Path;
 
 use seepd_features::ReaderError;
+use seepd_logs::LogError;
 
 /// Exit codes: an interface, after sysexits.h.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -69,6 +70,20 @@ impl From<ReaderError> for Failure {
     /// A model's own check rules it out.
     fn from(error: ReaderError) -> Self {
         Failure::new(Code::Internal, error.to_string())
+    }
+}
+
+impl From<LogError> for Failure {
+    /// A log that is not there is no input, a mapping that fits nothing a fault of the configuration.
+    fn from(error: LogError) -> Self {
+        let code = match &error {
+            LogError::Reading { error, .. } if error.kind() == io::ErrorKind::NotFound => Code::NoInput,
+            LogError::Reading { .. } => Code::Io,
+            LogError::Folder { .. } => Code::NoInput,
+            LogError::Dbc { .. } | LogError::Mapping { .. } => Code::Configuration,
+            _ => Code::Data,
+        };
+        Failure::new(code, error.to_string())
     }
 }
 

@@ -1,27 +1,20 @@
-//! `seepd`: the command line, sources, the pipeline, sinks.
+//! `seepd`: the command line, the daemon, sinks and pages.
 //!
-//! Data flow one way: a [`source`] yields samples, the [`pipeline`] turns them into events, [`sink`]s turn events
-//! into text and files. Files and the terminal are known here and nowhere else.
+//! Data flow one way: a log or a bus yields samples, the monitor turns them into events, [`sink`]s turn events into text and files.
+//! Files that are written, the terminal, sockets and clocks are known here and nowhere else.
 
-pub mod alarm;
-pub mod baseline;
-pub mod can;
+mod baseline_file;
 pub mod cli;
 pub mod commands;
 pub mod config;
-pub mod energy;
 pub mod evaluation;
-pub mod event;
 pub mod failure;
 pub mod html;
 #[cfg(feature = "live")]
 pub mod live;
 pub mod output;
-pub mod pipeline;
 mod progress;
-mod side_file;
 pub mod sink;
-pub mod source;
 
 pub use cli::main;
 pub use failure::Failure;

@@ -1,6 +1,6 @@
 //! What a person sees beside the output: progress, and warnings.
 
-use std::io::{self, IsTerminal, Read, Seek, SeekFrom, Write};
+use std::io::{self, IsTerminal, Write};
 #[cfg(any(feature = "gap", feature = "train"))]
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -88,44 +88,10 @@ fn is_worth_a_line(steps: u64, before: u64, done: u64) -> bool {
     line(done) > line(before)
 }
 
-/// A log whose reading moves a bar by the log's length, whatever is read twice or left out.
-pub(crate) struct Counted<R> {
-    input: R,
-    bar: ProgressBar,
-    left: u64,
-}
-
-impl<R> Counted<R> {
-    /// A log of so many bytes.
-    pub(crate) fn new(input: R, bytes: u64, bar: &ProgressBar) -> Self {
-        Counted { input, bar: bar.clone(), left: bytes }
-    }
-
-    fn count(&mut self, bytes: u64) {
-        let bytes = bytes.min(self.left);
-        self.left -= bytes;
-        self.bar.inc(bytes);
-    }
-}
-
-impl<R: Read> Read for Counted<R> {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let bytes = self.input.read(buffer)?;
-        self.count(bytes as u64);
-        Ok(bytes)
-    }
-}
-
-impl<R: Seek> Seek for Counted<R> {
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.input.seek(to)
-    }
-}
-
-impl<R> Drop for Counted<R> {
-    fn drop(&mut self) {
-        self.count(self.left);
-    }
+/// What tells a bar of bytes how many more have been read.
+pub(crate) fn counting(bar: &ProgressBar) -> impl FnMut(u64) + Clone + Send + 'static {
+    let bar = bar.clone();
+    move |bytes| bar.inc(bytes)
 }
 
 /// A warning or an error, as one line.
@@ -137,26 +103,6 @@ pub(crate) fn warn(message: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::io::Cursor;
-
-    #[test]
-    fn the_bar_ends_at_its_total_whatever_is_read() {
-        let bar = ProgressBar::hidden();
-        let mut twice = Counted::new(Cursor::new([0; 100]), 100, &bar);
-        let mut end = Vec::new();
-        twice.seek(SeekFrom::End(-30)).unwrap();
-        twice.read_to_end(&mut end).unwrap();
-        assert_eq!(bar.position(), 30);
-        twice.seek(SeekFrom::Start(0)).unwrap();
-        twice.read_to_end(&mut end).unwrap();
-        assert_eq!(bar.position(), 100);
-        // Of the second log only a part is read.
-        let mut part = Counted::new(Cursor::new([0; 50]), 50, &bar);
-        part.read_exact(&mut [0; 20]).unwrap();
-        assert_eq!(bar.position(), 120);
-        drop((twice, part));
-        assert_eq!(bar.position(), 150);
-    }
 
     #[cfg(any(feature = "gap", feature = "train"))]
     #[test]

@@ -3,7 +3,11 @@
 //! The simulator's `plant.toml` and the daemon's `seepd.toml` are read by the same few functions, and neither crate
 //! should need the other for them.
 
+pub mod side_file;
+
 use serde::de::DeserializeOwned;
+use toml::Spanned;
+use toml::de::{DeTable, Deserializer};
 
 /// Why a TOML file cannot be read into its structure.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -20,20 +24,66 @@ pub struct FormatError {
 /// # Errors
 /// [`FormatError`] with the line.
 pub fn parse_toml<T: DeserializeOwned>(text: &str) -> Result<T, FormatError> {
-    toml::from_str(text).map_err(|error| {
+    toml::from_str(text).map_err(|error| FormatError::new(text, &error, &[]))
+}
+
+/// Takes a TOML text apart that holds several structures side by side at its top, each with keys of its own.
+///
+/// # Errors
+/// [`FormatError`] with the line where it is no TOML.
+pub fn parse_toml_parts(text: &str) -> Result<TomlParts<'_>, FormatError> {
+    let table = DeTable::parse(text).map_err(|error| FormatError::new(text, &error, &[]))?;
+    Ok(TomlParts { text, table, taken: Vec::new() })
+}
+
+/// What is left of such a text. See [`parse_toml_parts`].
+pub struct TomlParts<'t> {
+    text: &'t str,
+    table: Spanned<DeTable<'t>>,
+    taken: Vec<&'static str>,
+}
+
+impl TomlParts<'_> {
+    /// The structure that is made of these keys.
+    ///
+    /// # Errors
+    /// [`FormatError`] with the line.
+    pub fn take<T: DeserializeOwned>(&mut self, keys: &[&'static str]) -> Result<T, FormatError> {
+        let mut part = DeTable::new();
+        for key in keys {
+            part.extend(self.table.get_mut().remove_entry(*key));
+        }
+        self.taken.extend(keys);
+        let part = Spanned::new(self.table.span(), part);
+        T::deserialize(Deserializer::from(part)).map_err(|error| FormatError::new(self.text, &error, &[]))
+    }
+
+    /// The structure that is made of all other keys; one that is unknown may be a taken one misspelt.
+    ///
+    /// # Errors
+    /// [`FormatError`] with the line.
+    pub fn take_rest<T: DeserializeOwned>(self) -> Result<T, FormatError> {
+        T::deserialize(Deserializer::from(self.table))
+            .map_err(|error| FormatError::new(self.text, &error, &self.taken))
+    }
+}
+
+impl FormatError {
+    /// The error in one line; an unknown key may be meant for one of the `others` too.
+    fn new(text: &str, error: &toml::de::Error, others: &[&str]) -> Self {
         let at = error.span().map_or(0, |span| span.start.min(text.len()));
         let line = 1 + text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
-        FormatError { line, message: with_nearest_key(error.message()) }
-    })
+        FormatError { line, message: with_nearest_key(error.message(), others) }
+    }
 }
 
 /// Shortens serde's "unknown field `a`, expected one of `b`, `c`, …" to the nearest name.
-fn with_nearest_key(message: &str) -> String {
+fn with_nearest_key(message: &str, others: &[&str]) -> String {
     let Some((unknown, rest)) = message.strip_prefix("unknown field `").and_then(|rest| rest.split_once('`'))
     else {
         return message.lines().next().unwrap_or_default().to_owned();
     };
-    let known: Vec<&str> = rest.split('`').skip(1).step_by(2).collect();
+    let known: Vec<&str> = rest.split('`').skip(1).step_by(2).chain(others.iter().copied()).collect();
     unknown_key(unknown, &known)
 }
 

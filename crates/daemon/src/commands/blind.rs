@@ -21,13 +21,13 @@ use sha2::{Digest, Sha256};
 use super::gap::{answer, emitted, pool, read};
 use super::simulate::{OtherSignals, SignalsMessage, write_message};
 use crate::cli::Outcome;
-use crate::config::Config;
+use crate::config::AxisConfig;
 use crate::failure::{Code, Failure};
 use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::Steps;
-use crate::side_file;
 use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
+use seepd_settings::side_file;
 
 /// Checks the diagnosis on logs whose cause is withheld from it: plants causes with a second simulator, diagnoses the logs, scores the
 /// answers.
@@ -276,7 +276,7 @@ fn diagnose(arguments: &DiagnoseArguments) -> Result<Outcome, Failure> {
                 continue;
             }
             if log.is_none() {
-                log = Some(read(&log_of(name), &Config::default(), &spec)?.0);
+                log = Some(read(&log_of(name), &AxisConfig::default(), &spec)?.0);
             }
             let Some(log) = &log else { continue };
             let begin = std::time::Instant::now();
@@ -342,7 +342,7 @@ fn measured(
 ) -> Result<Option<BTreeMap<String, f64>>, Failure> {
     let text = side_file::read_text(plant).map_err(|error| Failure::reading(plant, &error))?;
     let spec = MachineSpec::from_toml(&text).map_err(|error| Failure::configuration(plant, error))?;
-    let (log, _) = read(&logs.join(format!("{case}.mcap")), &Config::default(), &spec)?;
+    let (log, _) = read(&logs.join(format!("{case}.mcap")), &AxisConfig::default(), &spec)?;
     let Ok(record) = Record::new(&view.of(&log), &spec) else { return Ok(None) };
     let gap = nominal_gap(&record, &spec);
     Ok(Some(gap.into_iter().map(|(signal, gap)| (signal.to_owned(), gap)).collect()))

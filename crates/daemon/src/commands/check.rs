@@ -5,14 +5,15 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
-use crate::baseline::BaselineFile;
+use crate::baseline_file;
 use crate::cli::Outcome;
-use crate::config::{Config, NamedModel, load_model};
+use crate::config::{DaemonConfig, load_model};
 use crate::failure::{Code, Failure};
 use crate::progress::warn;
-use crate::side_file;
 use crate::sink::terminal::print;
-use crate::source::{self, frame_decoder};
+use seepd_logs::{frame_decoder, open};
+use seepd_monitor::pipeline::DutyCycle;
+use seepd_settings::side_file;
 
 /// Checks plant, model and configuration files; tells line, key and the nearest known key of what is wrong.
 ///
@@ -31,7 +32,7 @@ pub struct CheckArguments {
 
 /// `seepd.check/1`: what was found of a file.
 #[derive(Debug, Serialize)]
-struct Finding {
+struct CheckedFile {
     schema: &'static str,
     file: String,
     kind: &'static str,
@@ -67,7 +68,7 @@ pub fn run(arguments: &CheckArguments) -> Result<Outcome, Failure> {
                 Ok(good) => (good.message.clone(), good.remarks.clone()),
                 Err(failure) => (failure.message.clone(), Vec::new()),
             };
-            let finding = Finding {
+            let finding = CheckedFile {
                 schema: "seepd.check/1",
                 file: path.display().to_string(),
                 kind,
@@ -154,52 +155,53 @@ fn check_plant(path: &Path, _text: &str) -> Result<String, Failure> {
 }
 
 fn check_configuration(path: &Path) -> Result<Good, Failure> {
-    let config = Config::read(path)?;
+    let config = DaemonConfig::read(path)?;
     let mut axes = Vec::new();
-    for axis in config.axes() {
+    for axis in &config.axes {
         let of_axis = |failure: Failure| {
             Failure::new(
                 Code::Configuration,
                 format!("{}: axis {}: {}", path.display(), axis.axis, failure.message),
             )
         };
-        let models = axis.load_models().map_err(of_axis)?;
-        for (named, baseline) in models.iter().zip(axis.baseline_files()) {
+        let duty_cycles = axis.load_models().map_err(of_axis)?;
+        for (duty_cycle, baseline) in duty_cycles.iter().zip(axis.baseline_files()) {
             baseline
-                .map(|file| BaselineFile::read(file, &axis.axis, &named.model))
+                .map(|file| baseline_file::read(file, &axis.axis, &duty_cycle.model))
                 .transpose()
                 .map_err(of_axis)?;
         }
         if axis.dbc.is_some() || axis.source.can.is_some() {
-            frame_decoder(axis).map_err(of_axis)?;
+            frame_decoder(&axis.log_mapping()).map_err(Failure::from).map_err(of_axis)?;
         }
         if let Some(log) = axis.source.log.as_deref().filter(|log| log.is_file()) {
-            source::open(log, axis).and_then(|mut source| source.next_sample()).map_err(of_axis)?;
+            let first = open(log, &axis.log_mapping()).and_then(|mut source| source.next_sample());
+            first.map_err(Failure::from).map_err(of_axis)?;
         }
         axes.push(format!(
             "axis {}, {} mapped signals, {}",
             axis.axis,
             axis.signals.len(),
-            models.iter().map(described).collect::<Vec<_>>().join(", ")
+            duty_cycles.iter().map(described).collect::<Vec<_>>().join(", ")
         ));
     }
     check_sinks(&config)?;
     Ok(Good { message: axes.join("; "), remarks: config.remarks() })
 }
 
-fn described(NamedModel { name, model }: &NamedModel) -> String {
+fn described(DutyCycle { name, model }: &DutyCycle) -> String {
     let of_duty_cycle = name.as_ref().map_or(String::new(), |name| format!("duty cycle {name}: "));
     format!("{of_duty_cycle}model of {} trees", model.ensemble().trees())
 }
 
 /// Whether the files that the sinks need can be read.
 #[cfg(feature = "live")]
-fn check_sinks(config: &Config) -> Result<(), Failure> {
+fn check_sinks(config: &DaemonConfig) -> Result<(), Failure> {
     let wrong = |failure: Failure| Failure::new(Code::Configuration, failure.message);
     crate::live::check_sinks(config).map_err(wrong)
 }
 
 #[cfg(not(feature = "live"))]
-fn check_sinks(_config: &Config) -> Result<(), Failure> {
+fn check_sinks(_config: &DaemonConfig) -> Result<(), Failure> {
     Ok(())
 }

@@ -11,14 +11,14 @@ use seepd_sim::noise::Noise;
 
 use super::simulate::{SimulateArguments, write_log};
 use crate::cli::Outcome;
-use crate::config::Config;
-use crate::event::{Event, Flag, FlagEvent};
+use crate::config::AxisConfig;
 use crate::failure::Failure;
 use crate::html::demo::{DemoPage, FlagChange, Point};
 use crate::output::{Outputs, OverwriteArguments};
-use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
 use crate::sink::terminal::{self, Colour};
-use crate::source;
+use seepd_logs::open;
+use seepd_monitor::event::{Event, Flag, FlagEvent};
+use seepd_monitor::pipeline::Pipeline;
 use seepd_signals::Signal;
 
 /// Simulates a press whose seal wears over many cycles, writes the log, replays it with the model that the program
@@ -92,13 +92,10 @@ fn wear(arguments: &DemoArguments) -> Vec<CycleRun> {
 
 /// Reads the log as any other; the truth is laid beside the estimates afterwards.
 fn replay(log: &Path, spec: &MachineSpec, runs: &[CycleRun]) -> Result<DemoPage, Failure> {
-    let config = Config { axis: "demo press".into(), ..Config::default() };
-    let models = config.load_models()?;
-    let duty_cycles = DutyCycle::all(&models);
-    let pipeline_config = PipelineConfig::new(&config, &duty_cycles);
-    let mut pipeline = Pipeline::new(pipeline_config)?;
-    let truth =
-        Truth { runs, period_s: spec.cycle.period_s, flow_lpm: &|area| pipeline_config.flow_lpm(area) };
+    let config = AxisConfig { axis: "demo press".into(), ..AxisConfig::default() };
+    let monitor = config.monitor(config.load_models()?);
+    let mut pipeline = Pipeline::new(monitor.clone())?;
+    let truth = Truth { runs, period_s: spec.cycle.period_s, flow_lpm: &|area| monitor.flow_lpm(area) };
     let mut page = DemoPage {
         log: log.file_name().unwrap_or_default().to_string_lossy().into_owned(),
         reference_dp_pa: config.reference_dp_pa,
@@ -110,7 +107,7 @@ fn replay(log: &Path, spec: &MachineSpec, runs: &[CycleRun]) -> Result<DemoPage,
         median_error: 0.0,
         duration_s: runs.len() as f64 * spec.cycle.period_s,
     };
-    let mut source = source::open(log, &config)?;
+    let mut source = open(log, &config.log_mapping())?;
     let mut number = 0;
     while let Some(sample) = source.next_sample()? {
         let t_s = sample.time_ns as f64 / 1e9;

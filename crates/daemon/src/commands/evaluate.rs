@@ -11,17 +11,17 @@ use seepd_signals::Signal;
 
 use super::reading::{BaselineArguments, ReadingArguments};
 use crate::cli::Outcome;
-use crate::config::{Config, Selection, SignalMapping};
+use crate::config::AxisConfig;
 use crate::evaluation::record::MachineRecord;
 use crate::evaluation::{Conditions, Evaluation};
 use crate::failure::{Code, Failure};
 use crate::html::evaluation::EvaluationPage;
 use crate::output::{Outputs, OverwriteArguments};
-use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
-use crate::progress::{byte_bar, warn};
+use crate::progress::{byte_bar, counting, warn};
 use crate::sink::evaluation::write_tables;
 use crate::sink::terminal::{listed, print};
-use crate::source::record;
+use seepd_logs::{LogMapping, Selection, SignalMapping, record};
+use seepd_monitor::pipeline::Pipeline;
 
 /// Compares estimates and flags with the truth that logs hold: errors, coverage, delay, false alarms, receiver operating curve.
 ///
@@ -105,15 +105,14 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
     if arguments.within_cycles == 0 {
         return Err(Failure::new(Code::Usage, "--within-cycles is 0; it must be 1 or more"));
     }
-    let (config, models) = arguments.reading.load()?;
+    let (config, duty_cycles) = arguments.reading.load()?;
     let logs = arguments.logs.iter().map(PathBuf::as_path);
     let inputs = logs.chain(arguments.reading.files(&config)).chain(arguments.baseline.file());
     let html = Outputs::new(arguments.overwrite, inputs).claim_any(arguments.html.as_ref())?;
-    let duty_cycles = DutyCycle::all(&models);
-    let pipeline_config = PipelineConfig::new(&config, &duty_cycles);
+    let monitor = config.monitor(duty_cycles);
     let conditions = Conditions {
         reference_dp_pa: config.reference_dp_pa,
-        lpm_per_m2: pipeline_config.flow_lpm(1.0),
+        lpm_per_m2: monitor.flow_lpm(1.0),
         onset_lpm: arguments.onset_lpm,
         within_cycles: arguments.within_cycles,
     };
@@ -124,7 +123,7 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
     let bar = byte_bar(2 * bytes.sum::<u64>(), "evaluating");
     let mut records = Vec::with_capacity(machines.len());
     for logs in machines {
-        let mut pipeline = Pipeline::new(pipeline_config)?;
+        let mut pipeline = Pipeline::new(monitor.clone())?;
         arguments.baseline.apply(&mut pipeline, &config)?;
         let mut record = estimate(logs, &config, &mut pipeline, &bar)?;
         lay_truth_beside(&mut record, logs, arguments, &config, &conditions, &bar)?;
@@ -159,15 +158,15 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
 /// First pass: cycles and what is said of them.
 fn estimate(
     logs: &[PathBuf],
-    config: &Config,
-    pipeline: &mut Pipeline<'_>,
+    config: &AxisConfig,
+    pipeline: &mut Pipeline,
     bar: &ProgressBar,
 ) -> Result<MachineRecord, Failure> {
     let name = logs.first().map(|log| log.display().to_string()).unwrap_or_default();
     let mut record = MachineRecord::new(name);
-    let notes = record::each_sample(logs, config, bar, |sample| {
+    let notes = record::each_sample(logs, &config.log_mapping(), counting(bar), |sample| {
         pipeline.push(sample, &mut |event| record.take(event));
-        Ok(())
+        Ok::<(), Failure>(())
     })?;
     pipeline.finish(&mut |event| record.take(event));
     notes.iter().for_each(|note| warn(note));
@@ -179,7 +178,7 @@ fn lay_truth_beside(
     record: &mut MachineRecord,
     logs: &[PathBuf],
     arguments: &EvaluateArguments,
-    config: &Config,
+    config: &AxisConfig,
     conditions: &Conditions,
     bar: &ProgressBar,
 ) -> Result<(), Failure> {
@@ -189,27 +188,27 @@ fn lay_truth_beside(
         scale: arguments.truth_unit.in_m2(conditions.lpm_per_m2),
         ..SignalMapping::default()
     };
-    let config = Config {
+    let mapping = LogMapping {
         signals: BTreeMap::from([(Signal::Command, mapping)]),
         selection: Selection::default(),
-        ..config.clone()
+        ..config.log_mapping()
     };
-    record::each_sample(logs, &config, bar, |sample| {
+    record::each_sample(logs, &mapping, counting(bar), |sample| {
         if let Some(area_m2) = sample.get(Signal::Command) {
             record.take_truth(sample.time_ns, area_m2);
         }
         Ok(())
     })
     .map(drop)
-    .map_err(|failure| {
+    .map_err(|failure: Failure| {
         let text = format!("{}; name the truth with --truth and --truth-topic", failure.message);
         Failure::new(failure.code, text)
     })
 }
 
 /// Where the truth of the signals' axis is.
-fn truth_topic(config: &Config) -> String {
-    let named = config.mapping().into_iter().find(|(signal, _)| *signal == Signal::Command);
+fn truth_topic(config: &AxisConfig) -> String {
+    let named = config.log_mapping().places().into_iter().find(|(signal, _)| *signal == Signal::Command);
     let axis = named.and_then(|(_, mapping)| Some(mapping.topic.strip_suffix("/signals")?.to_owned()));
     format!("{}/truth", axis.unwrap_or_else(|| "*".into()))
 }

@@ -15,15 +15,15 @@ use super::blind::BlindArguments;
 use super::reading::MappingArguments;
 use super::simulate::read_plant;
 use crate::cli::Outcome;
-use crate::config::Config;
-use crate::event::LPM_PER_M3_PER_S;
+use crate::config::AxisConfig;
 use crate::failure::{Code, Failure};
 use crate::html::gap::GapPage;
 use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::Steps;
-use crate::side_file;
 use crate::sink::terminal::print;
-use crate::source;
+use seepd_logs::open;
+use seepd_monitor::event::LPM_PER_M3_PER_S;
+use seepd_settings::side_file;
 
 /// Says where the simulator and a machine part, which effect that the simulator lacks causes it, how likely that is, and how far the
 /// gap shrinks once the effect is added; or that nothing it knows explains the log.
@@ -157,7 +157,7 @@ enum JsonOutput {
 }
 
 impl GapOutputs {
-    fn claim(arguments: &GapArguments, log: &Path, config: &Config) -> Result<Self, Failure> {
+    fn claim(arguments: &GapArguments, log: &Path, config: &AxisConfig) -> Result<Self, Failure> {
         let named = arguments.plant.as_deref().into_iter().chain(arguments.mapping.files(config));
         let mut outputs = Outputs::new(arguments.overwrite, [log].into_iter().chain(named));
         let json = match &arguments.json {
@@ -264,11 +264,11 @@ fn write(
 /// [`Failure`] where it cannot be read.
 pub(super) fn read<A: SimulatedAxis>(
     path: &Path,
-    config: &Config,
+    config: &AxisConfig,
     spec: &A,
 ) -> Result<(Log, Vec<String>), Failure> {
     let mut notes = Vec::new();
-    let mut source = source::open(path, config)?;
+    let mut source = open(path, &config.log_mapping())?;
     let period_ns = spec.tick_s() * 1e9;
     let most = (MOST_CYCLES * spec.duty_cycle().period_s / spec.tick_s()) as usize;
     let mut log = Log::default();

@@ -7,13 +7,13 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 
 use super::inspect::{is_interface, look};
-use crate::can::dbc::Dbc;
 use crate::cli::Outcome;
-use crate::config::Config;
+use crate::config::DaemonConfig;
 use crate::failure::{Code, Failure};
 use crate::output::{Outputs, OverwriteArguments};
 use crate::sink::plain::{self, one_line};
-use crate::source::survey::LogSurvey;
+use seepd_logs::can::dbc::Dbc;
+use seepd_logs::survey::LogSurvey;
 
 /// Listens on a CAN interface (or looks into a log), proposes where the signals are, and writes a configuration for `run`.
 #[derive(Debug, Args)]
@@ -50,7 +50,7 @@ pub fn run(arguments: &InitArguments) -> Result<Outcome, Failure> {
     let dbc = arguments.dbc.as_deref().map(Dbc::read).transpose()?;
     let found = look(&arguments.place, "t_s", dbc.as_ref(), arguments.seconds)?;
     let text = configuration(arguments, &found);
-    Config::parse(&text).map_err(|message| {
+    DaemonConfig::parse(&text).map_err(|message| {
         Failure::new(Code::Usage, format!("what you gave makes no configuration: {message}"))
     })?;
     target.write(text)?;

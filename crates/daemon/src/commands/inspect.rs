@@ -8,13 +8,14 @@ use std::time::Duration;
 
 use clap::Args;
 
-use crate::can::dbc::Dbc;
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
-use crate::progress::{Counted, byte_bar};
+use crate::progress::{byte_bar, counting};
 use crate::sink::plain::{self, one_line};
 use crate::sink::terminal::print;
-use crate::source::survey::{LogSurvey, survey, toml_text};
+use seepd_logs::CountedReader;
+use seepd_logs::can::dbc::Dbc;
+use seepd_logs::survey::{LogSurvey, survey, toml_text};
 
 /// Shows a log's topics, rates, gaps, encodings and numeric fields with their ranges, guesses which are the command,
 /// position, demand, pressures and load, and prints the mapping that would read them.
@@ -82,7 +83,7 @@ pub(super) fn look(
     let file = File::open(place).map_err(|error| Failure::reading(place, &error))?;
     let bytes = file.metadata().map_or(0, |facts| facts.len());
     let bar = byte_bar(bytes, "inspecting");
-    let found = survey(Counted::new(file, bytes, &bar), &name, time_column, dbc)?;
+    let found = survey(CountedReader::new(file, bytes, counting(&bar)), &name, time_column, dbc)?;
     bar.finish_and_clear();
     Ok(found)
 }
@@ -95,9 +96,8 @@ pub(super) fn is_interface(name: &str) -> bool {
 #[cfg(feature = "live")]
 fn listen(interface: &str, dbc: Option<&Dbc>, seconds: f64) -> Result<LogSurvey, Failure> {
     use crate::live::clock::Clock;
-    use crate::source::bus_survey::BusSurvey;
-    use crate::source::socketcan::FramePort;
-    use crate::source::survey::survey_of_bus;
+    use crate::live::socketcan::FramePort;
+    use seepd_logs::BusSurvey;
 
     if !(0.1..=3600.0).contains(&seconds) {
         return Err(Failure::new(Code::Usage, format!("--seconds is {seconds}; it must lie in 0.1 … 3600")));
@@ -112,7 +112,7 @@ fn listen(interface: &str, dbc: Option<&Dbc>, seconds: f64) -> Result<LogSurvey,
             port.listen(&clock, time, |frame, time_ns| bus.take(interface.as_bytes(), frame, time_ns)).await
         })
         .map_err(failed)?;
-    let found = survey_of_bus(bus, interface, dbc.is_some());
+    let found = bus.into_survey(interface);
     if found.topics.is_empty() {
         return Err(Failure::data(format!("{interface}: no frame came within {seconds} s")));
     }

@@ -3,20 +3,22 @@
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use clap::Args;
 use seepd_model::Model;
 
 use super::reading::{ReadingArguments, check_cycles};
-use crate::baseline::{Baseline, BaselineFile, MOST_CYCLES};
+use crate::baseline_file;
 use crate::cli::Outcome;
-use crate::config::{Config, NamedModel};
+use crate::config::AxisConfig;
 use crate::failure::{Code, Failure};
 use crate::output::{Output, Outputs, OverwriteArguments};
-use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
-use crate::progress::{byte_bar, warn};
+use crate::progress::{byte_bar, counting, warn};
 use crate::sink::terminal::print;
-use crate::source::record;
+use seepd_logs::record;
+use seepd_monitor::baseline::{Baseline, BaselineFile, MOST_CYCLES};
+use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
 /// Learns a healthy machine's baseline from its logs, for estimates relative to it.
 ///
@@ -60,28 +62,28 @@ pub struct LearnBaselineArguments {
 /// [`Failure`] for arguments, configuration, logs, or cycles that make no baseline.
 pub fn run(arguments: &LearnBaselineArguments) -> Result<Outcome, Failure> {
     check_cycles("--cycles", arguments.cycles)?;
-    let (config, models) = arguments.reading.load()?;
-    let which = chosen(arguments.duty_cycle.as_deref(), &models)?;
-    let model = &models[which].model;
-    let mut file = record_of(arguments, &config, model)?;
+    let (config, duty_cycles) = arguments.reading.load()?;
+    let which = chosen(arguments.duty_cycle.as_deref(), &duty_cycles)?;
+    let model = Arc::clone(&duty_cycles[which].model);
+    let mut file = record_of(arguments, &config, &model)?;
     let out = claim(arguments, &config)?;
     let usual = if arguments.seal_replaced { "seal replaced" } else { "commissioning" };
     let occasion = arguments.occasion.as_deref().unwrap_or(usual);
-    let baseline = learn(arguments, &config, (&models, which), occasion)?;
+    let baseline = learn(arguments, &config, (duty_cycles, which), occasion)?;
     file.baselines.push(baseline);
     out.write(file.to_json().map_err(|error| Failure::writing(&arguments.out, error))?)?;
     if let Some(baseline) = file.newest() {
-        tell(arguments, model, baseline)?;
+        tell(arguments, &model, baseline)?;
     }
     Ok(Outcome::Good)
 }
 
 /// Index of the duty cycle whose baseline is learned.
-fn chosen(name: Option<&str>, models: &[NamedModel]) -> Result<usize, Failure> {
-    let known: Vec<&str> = models.iter().filter_map(|model| model.name.as_deref()).collect();
+fn chosen(name: Option<&str>, duty_cycles: &[DutyCycle]) -> Result<usize, Failure> {
+    let known: Vec<&str> = duty_cycles.iter().filter_map(|duty_cycle| duty_cycle.name.as_deref()).collect();
     let usage = |text: String| Err(Failure::new(Code::Usage, text));
     match name {
-        None if models.len() == 1 => Ok(0),
+        None if duty_cycles.len() == 1 => Ok(0),
         None => usage(format!("--duty-cycle is missing; the configuration has {}", known.join(", "))),
         Some(name) => match known.iter().position(|known| *known == name) {
             Some(index) => Ok(index),
@@ -96,12 +98,12 @@ fn chosen(name: Option<&str>, models: &[NamedModel]) -> Result<usize, Failure> {
 /// The file's record so far.
 fn record_of(
     arguments: &LearnBaselineArguments,
-    config: &Config,
+    config: &AxisConfig,
     model: &Model,
 ) -> Result<BaselineFile, Failure> {
     let path = &arguments.out;
     match (arguments.seal_replaced, path.exists()) {
-        (true, _) => BaselineFile::read(path, &config.axis, model),
+        (true, _) => baseline_file::read(path, &config.axis, model),
         (false, true) if !arguments.overwrite.force => Err(Failure::new(
             Code::Usage,
             format!(
@@ -114,7 +116,7 @@ fn record_of(
 }
 
 /// The file to write. What it holds may be what the configuration names as baseline: it is read before it is written.
-fn claim(arguments: &LearnBaselineArguments, config: &Config) -> Result<Output, Failure> {
+fn claim(arguments: &LearnBaselineArguments, config: &AxisConfig) -> Result<Output, Failure> {
     let force = arguments.overwrite.force || arguments.seal_replaced;
     let beside =
         arguments.reading.files(config).filter(|file| !config.baseline_files().contains(&Some(*file)));
@@ -124,20 +126,19 @@ fn claim(arguments: &LearnBaselineArguments, config: &Config) -> Result<Output, 
 
 fn learn(
     arguments: &LearnBaselineArguments,
-    config: &Config,
-    (models, which): (&[NamedModel], usize),
+    config: &AxisConfig,
+    (duty_cycles, which): (Vec<DutyCycle>, usize),
     occasion: &str,
 ) -> Result<Baseline, Failure> {
-    let duty_cycles = DutyCycle::all(models);
-    let mut pipeline = Pipeline::new(PipelineConfig::new(config, &duty_cycles))?;
+    let mut pipeline = Pipeline::new(config.monitor(duty_cycles))?;
     pipeline.monitors_mut()[which]
         .learn(occasion, arguments.cycles)
-        .map_err(|what| Failure::new(Code::Configuration, what))?;
+        .map_err(|error| Failure::new(Code::Configuration, error.to_string()))?;
     let sizes = arguments.logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum();
     let bar = byte_bar(sizes, "learning");
-    let notes = record::each_sample(&arguments.logs, config, &bar, |sample| {
+    let notes = record::each_sample(&arguments.logs, &config.log_mapping(), counting(&bar), |sample| {
         pipeline.push(sample, &mut |_| ());
-        Ok(())
+        Ok::<(), Failure>(())
     })?;
     pipeline.finish(&mut |_| ());
     bar.finish_and_clear();
@@ -181,7 +182,7 @@ fn describe(out: &mut impl Write, path: &Path, model: &Model, baseline: &Baselin
     writeln!(
         out,
         "repeats within {:.1e} m² of leak (standard deviation); command noise {:.4}; load {}",
-        baseline.response_deviation_m2,
+        baseline.residual_deviation_m2,
         baseline.noise,
         baseline.load_n.map_or("not measured".to_owned(), |load_n| format!("{load_n:.0} N on average"))
     )?;

@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use crate::baseline::{Baseline, BaselineFile, LEAST_CYCLES, MOST_CYCLES};
-use crate::config::{Config, NamedModel, Selection};
+use crate::baseline_file;
+use crate::config::{AxisConfig, DaemonConfig};
 use crate::failure::{Code, Failure};
-use crate::pipeline::Pipeline;
+use seepd_logs::Selection;
+use seepd_monitor::baseline::{Baseline, LEAST_CYCLES, MOST_CYCLES};
+use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
 /// The arguments that say where the signals are.
 #[derive(Debug, Args)]
@@ -31,7 +33,7 @@ pub struct MappingArguments {
 
 impl MappingArguments {
     /// The files that a command with these arguments reads beside its logs.
-    pub fn files<'a>(&'a self, config: &'a Config) -> impl Iterator<Item = &'a Path> {
+    pub fn files<'a>(&'a self, config: &'a AxisConfig) -> impl Iterator<Item = &'a Path> {
         self.config.as_deref().into_iter().chain(config.files())
     }
 
@@ -39,12 +41,12 @@ impl MappingArguments {
     ///
     /// # Errors
     /// [`Failure`] of the file, or where it has several axes and none or another one is named.
-    pub fn load(&self) -> Result<Config, Failure> {
+    pub fn load(&self) -> Result<AxisConfig, Failure> {
         let mut config = match &self.config {
-            Some(path) => Config::read(path)?
+            Some(path) => DaemonConfig::read(path)?
                 .into_axis(self.axis.as_deref())
                 .map_err(|what| Failure::new(Code::Usage, format!("{}: {what}", path.display())))?,
-            None => Config::default(),
+            None => AxisConfig::default(),
         };
         config.selection = Selection { topic: self.topic.clone(), command: self.command.clone() };
         config.dbc = self.dbc.clone().or(config.dbc);
@@ -64,7 +66,7 @@ pub struct ReadingArguments {
 
 impl ReadingArguments {
     /// The files that a command with these arguments reads beside its logs.
-    pub fn files<'a>(&'a self, config: &'a Config) -> impl Iterator<Item = &'a Path> {
+    pub fn files<'a>(&'a self, config: &'a AxisConfig) -> impl Iterator<Item = &'a Path> {
         self.mapping.files(config)
     }
 
@@ -72,7 +74,7 @@ impl ReadingArguments {
     ///
     /// # Errors
     /// [`Failure`] of either file.
-    pub fn load(&self) -> Result<(Config, Vec<NamedModel>), Failure> {
+    pub fn load(&self) -> Result<(AxisConfig, Vec<DutyCycle>), Failure> {
         let mut config = self.mapping.load()?;
         if let Some(path) = &self.model {
             if !config.duty_cycles.is_empty() {
@@ -81,8 +83,8 @@ impl ReadingArguments {
             }
             config.model = Some(path.clone());
         }
-        let models = config.load_models()?;
-        Ok((config, models))
+        let duty_cycles = config.load_models()?;
+        Ok((config, duty_cycles))
     }
 }
 
@@ -107,10 +109,12 @@ impl BaselineArguments {
     ///
     /// # Errors
     /// [`Failure`] of the file, or of the count of cycles.
-    pub fn apply(&self, pipeline: &mut Pipeline<'_>, config: &Config) -> Result<Vec<Vec<Baseline>>, Failure> {
+    pub fn apply(&self, pipeline: &mut Pipeline, config: &AxisConfig) -> Result<Vec<Vec<Baseline>>, Failure> {
         if let Some(cycles) = self.learn_cycles {
             check_cycles("--learn-cycles", cycles)?;
-            pipeline.learn("first cycles", cycles).map_err(|what| Failure::new(Code::Configuration, what))?;
+            pipeline
+                .learn("first cycles", cycles)
+                .map_err(|error| Failure::new(Code::Configuration, error.to_string()))?;
             return Ok(vec![Vec::new(); pipeline.monitors().len()]);
         }
         let mut files = config.baseline_files();
@@ -128,7 +132,7 @@ impl BaselineArguments {
                 records.push(Vec::new());
                 continue;
             };
-            let file = BaselineFile::read(path, &config.axis, monitor.model())?;
+            let file = baseline_file::read(path, &config.axis, monitor.model())?;
             let Some(baseline) = file.newest() else {
                 return Err(Failure::configuration(path, "has no baseline; see seepd learn-baseline"));
             };

@@ -9,20 +9,21 @@ use indicatif::ProgressBar;
 
 use super::reading::{BaselineArguments, ReadingArguments};
 use crate::cli::Outcome;
-use crate::config::Config;
-use crate::event::{Event, Flag, Summary};
+use crate::config::AxisConfig;
 use crate::failure::{Code, Failure};
 use crate::html::report::ReportPage;
 use crate::output::{Output, OutputFile, Outputs, OverwriteArguments};
-use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
-use crate::progress::{byte_bar, warn};
+use crate::progress::{byte_bar, counting, warn};
 use crate::sink::csv::CsvSink;
 use crate::sink::html::HtmlSink;
 use crate::sink::json;
 use crate::sink::mcap::EventSink;
 use crate::sink::plain::Plain;
 use crate::sink::terminal::{self, Colour};
-use crate::source::{self, record::Clock};
+use seepd_logs::open_with;
+use seepd_logs::record::Clock;
+use seepd_monitor::event::{Event, Flag, Summary};
+use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
 /// Reads logs (MCAP, CSV, candump) and tells the leak of each duty cycle, the flags and a summary.
 ///
@@ -80,7 +81,7 @@ struct Files {
 /// # Errors
 /// [`Failure`] for configuration, model, logs or output.
 pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
-    let (mut config, models) = arguments.reading.load()?;
+    let (mut config, duty_cycles) = arguments.reading.load()?;
     if let Some(mpa) = arguments.reference_mpa {
         if !(0.1..=100.0).contains(&mpa) {
             return Err(Failure::new(
@@ -90,10 +91,9 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         }
         config.reference_dp_pa = mpa * 1e6;
     }
-    let duty_cycles = DutyCycle::all(&models);
-    let mut pipeline = Pipeline::new(PipelineConfig::new(&config, &duty_cycles))?;
+    let mut pipeline = Pipeline::new(config.monitor(duty_cycles))?;
     let mut records = arguments.baseline.apply(&mut pipeline, &config)?;
-    let mut files = Files::begin(arguments, &config, &duty_cycles)?;
+    let mut files = Files::begin(arguments, &config, &pipeline.config().duty_cycles)?;
     let mut out = Printer::new(arguments, config.reference_dp_pa);
     let notes = replay_logs(arguments, &config, &mut pipeline, &mut files, &mut out)?;
     let summary = pipeline.summary();
@@ -125,7 +125,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         return Err(Failure::data(format!(
             "the command comes at {rate:.1} Hz, the model reads {} Hz: no cycle could be used; train a model for this \
              rate (controller.period_s in the plant file)",
-            models[0].model.file().sample_rate_hz
+            pipeline.monitors()[0].model().file().sample_rate_hz
         )));
     }
     if !arguments.fail_on_fault {
@@ -147,8 +147,8 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
 
 fn replay_logs(
     arguments: &ReplayArguments,
-    config: &Config,
-    pipeline: &mut Pipeline<'_>,
+    config: &AxisConfig,
+    pipeline: &mut Pipeline,
     files: &mut Files,
     out: &mut Printer,
 ) -> Result<Vec<String>, Failure> {
@@ -156,8 +156,9 @@ fn replay_logs(
     let mut failure = None;
     let mut clock = Clock::default();
     let bar = out.progress_bar(&arguments.logs);
+    let mapping = config.log_mapping();
     for path in &arguments.logs {
-        let mut source = source::open_with(path, config, &bar)?;
+        let mut source = open_with(path, &mapping, counting(&bar))?;
         let name = path.display().to_string();
         if let Some((_, html)) = &mut files.html {
             html.begin_log(&name);
@@ -193,8 +194,8 @@ fn replay_logs(
 impl Files {
     fn begin(
         arguments: &ReplayArguments,
-        config: &Config,
-        duty_cycles: &[DutyCycle<'_>],
+        config: &AxisConfig,
+        duty_cycles: &[DutyCycle],
     ) -> Result<Self, Failure> {
         let logs = arguments.logs.iter().map(PathBuf::as_path);
         let inputs = logs.chain(arguments.reading.files(config)).chain(arguments.baseline.file());

@@ -16,9 +16,9 @@ use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::output::{Output, OutputFile, Outputs, OverwriteArguments};
 use crate::progress::{progress_bar, warn};
-use crate::side_file;
 use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
+use seepd_settings::side_file;
 
 /// Writes the log (MCAP) of a simulated machine: signals on /axis/signals, the truth on /axis/truth.
 ///

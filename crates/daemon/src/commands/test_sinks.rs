@@ -13,8 +13,7 @@ use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 
 use crate::cli::Outcome;
-use crate::config::{CanOutConfig, Config, HttpConfig, MqttConfig, RecordingConfig};
-use crate::event::Flag;
+use crate::config::{CanOutConfig, DaemonConfig, HttpConfig, MqttConfig, RecordingConfig};
 use crate::failure::{Code, Failure};
 use crate::live::clock::Clock;
 use crate::live::hub::{AxisStatus, Hub, Kind};
@@ -23,6 +22,7 @@ use crate::sink::can::{self, Layout};
 use crate::sink::mqtt::{self, Broker};
 use crate::sink::recording;
 use crate::sink::terminal::print;
+use seepd_monitor::event::Flag;
 
 /// Time that a sink has for the test.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -44,7 +44,7 @@ pub struct TestSinksArguments {
 
 /// `seepd.sink_test/1`: how a sink did.
 #[derive(Debug, Serialize)]
-struct Verdict {
+struct SinkTest {
     schema: &'static str,
     sink: String,
     good: bool,
@@ -56,7 +56,7 @@ struct Verdict {
 /// # Errors
 /// [`Failure`] where the configuration cannot be used, or a sink did not take its test.
 pub fn run(arguments: &TestSinksArguments) -> Result<Outcome, Failure> {
-    let config = Config::read(&arguments.config)?;
+    let config = DaemonConfig::read(&arguments.config)?;
     let verdicts = super::run::runtime()?.block_on(test_all(&config));
     if verdicts.is_empty() {
         let message = format!("{}: configures no sink", arguments.config.display());
@@ -80,24 +80,24 @@ pub fn run(arguments: &TestSinksArguments) -> Result<Outcome, Failure> {
     }
 }
 
-async fn test_all(config: &Config) -> Vec<Verdict> {
-    let axis = config.axes().first().map_or("axis", |axis| axis.axis.as_str()).to_owned();
+async fn test_all(config: &DaemonConfig) -> Vec<SinkTest> {
+    let axis = config.axes.first().map_or("axis", |axis| axis.axis.as_str()).to_owned();
     let mut verdicts = Vec::new();
     let mut note = |sink: String, result: Result<String, String>| {
         let good = result.is_ok();
         let message = result.unwrap_or_else(|message| message);
-        verdicts.push(Verdict { schema: "seepd.sink_test/1", sink, good, message });
+        verdicts.push(SinkTest { schema: "seepd.sink_test/1", sink, good, message });
     };
-    if let Some(mqtt) = &config.mqtt {
+    if let Some(mqtt) = &config.sinks.mqtt {
         note(mqtt::SINK.into(), test_mqtt(mqtt, &axis).await);
     }
-    for frame in &config.can_out {
+    for frame in &config.sinks.can_out {
         note(can::sink_name(frame), test_can(frame, &axis));
     }
-    if let Some(recording) = &config.recording {
+    if let Some(recording) = &config.sinks.recording {
         note(recording::SINK.into(), test_recording(recording, config, &axis).await);
     }
-    if let Some(http) = &config.http {
+    if let Some(http) = &config.sinks.http {
         note("http".into(), test_http(http).await);
     }
     verdicts
@@ -160,7 +160,7 @@ fn test_can(config: &CanOutConfig, axis: &str) -> Result<String, String> {
     Ok(format!("frame {:X} sent: flag severe without an estimate", config.id))
 }
 
-async fn test_recording(config: &RecordingConfig, all: &Config, axis: &str) -> Result<String, String> {
+async fn test_recording(config: &RecordingConfig, all: &DaemonConfig, axis: &str) -> Result<String, String> {
     let hub = Hub::new("test".into());
     let folder = config.folder.clone().unwrap_or_else(|| state_folder(all).join("recordings"));
     let (recorder, thread) = recording::start(config, &folder, vec![axis.into()], Arc::clone(&hub))

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::record::{CycleRecord, MachineRecord};
 use super::{Class, Conditions, leaks};
-use crate::event::Flag;
+use seepd_monitor::event::Flag;
 
 /// What raises an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

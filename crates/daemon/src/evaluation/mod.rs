@@ -144,7 +144,7 @@ fn judged(records: &[MachineRecord]) -> impl Iterator<Item = (f64, &CycleRecord)
 mod tests {
     use super::record::tests::{cycle, machine};
     use super::*;
-    use crate::event::Flag;
+    use seepd_monitor::event::Flag;
 
     pub(super) const CONDITIONS: Conditions =
         Conditions { reference_dp_pa: 7e6, lpm_per_m2: 5e6, onset_lpm: 0.005, within_cycles: 3 };

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use seepd_model::accuracy::Judged;
 
-use crate::baseline::Finding;
-use crate::event::{CycleLine, Event, Flag};
+use seepd_monitor::baseline::CusumFinding;
+use seepd_monitor::event::{CycleLine, Event, Flag};
 
 /// A size and its interval, m².
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -27,9 +27,9 @@ impl Size {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Compared {
     /// Response, m².
-    pub response_m2: f64,
+    pub leak_residual_m2: f64,
     /// Sum over cycles.
-    pub drift_sum: f64,
+    pub cusum: f64,
     /// Whether the sum has found a leak.
     pub found: bool,
 }
@@ -80,9 +80,9 @@ impl CycleRecord {
             relative,
             absolute,
             compared: line.comparison.as_ref().map(|comparison| Compared {
-                response_m2: comparison.response_m2,
-                drift_sum: comparison.drift_sum,
-                found: comparison.finding == Finding::Leak,
+                leak_residual_m2: comparison.leak_residual_m2,
+                cusum: comparison.cusum,
+                found: comparison.finding == CusumFinding::Leak,
             }),
             truth: (0.0, 0),
         }

@@ -10,30 +10,32 @@ use super::{Class, Conditions, judged, leaks};
 #[serde(rename_all = "snake_case")]
 pub enum Score {
     /// Sum over cycles against the baseline.
-    DriftSum,
+    #[serde(rename = "drift_sum")]
+    Cusum,
     /// A single cycle's response against the baseline.
-    Response,
+    #[serde(rename = "response")]
+    LeakResidual,
     /// A single cycle's estimate by the trained model alone.
     AbsoluteEstimate,
 }
 
 impl Score {
     /// All.
-    pub const ALL: [Score; 3] = [Score::DriftSum, Score::Response, Score::AbsoluteEstimate];
+    pub const ALL: [Score; 3] = [Score::Cusum, Score::LeakResidual, Score::AbsoluteEstimate];
 
     /// What it is called in tables.
     pub fn name(self) -> &'static str {
         match self {
-            Score::DriftSum => "sum over cycles",
-            Score::Response => "one cycle, relative to the baseline",
+            Score::Cusum => "sum over cycles",
+            Score::LeakResidual => "one cycle, relative to the baseline",
             Score::AbsoluteEstimate => "one cycle, without a baseline",
         }
     }
 
     fn of(self, cycle: &CycleRecord) -> Option<f64> {
         match self {
-            Score::DriftSum => cycle.compared.map(|compared| compared.drift_sum),
-            Score::Response => cycle.compared.map(|compared| compared.response_m2),
+            Score::Cusum => cycle.compared.map(|compared| compared.cusum),
+            Score::LeakResidual => cycle.compared.map(|compared| compared.leak_residual_m2),
             Score::AbsoluteEstimate => cycle.absolute.map(|size| size.leak_area_m2),
         }
     }

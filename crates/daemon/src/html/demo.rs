@@ -5,8 +5,8 @@ use maud::{Markup, html};
 use super::chart::{Axis, Chart, Layer};
 use super::flags::{self, colour};
 use super::page;
-use crate::alarm::AlarmConfig;
-use crate::event::Flag;
+use seepd_monitor::alarm::AlarmConfig;
+use seepd_monitor::event::Flag;
 
 /// An estimate beside the truth.
 #[derive(Debug, Clone, PartialEq)]

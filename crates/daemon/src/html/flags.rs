@@ -1,7 +1,7 @@
 //! Flags in pages: their colours, and their course over time.
 
 use super::chart::{Axis, Chart, Layer, Scale};
-use crate::event::Flag;
+use seepd_monitor::event::Flag;
 
 /// CSS colour of a flag.
 pub(crate) fn colour(flag: Flag) -> &'static str {

@@ -9,7 +9,7 @@ use seepd_sim::PlantParameters;
 
 use super::chart::{Axis, Chart, Layer};
 use super::page;
-use crate::event::LPM_PER_M3_PER_S;
+use seepd_monitor::event::LPM_PER_M3_PER_S;
 
 /// What the page shows.
 pub struct GapPage<'a> {

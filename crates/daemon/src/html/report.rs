@@ -5,10 +5,10 @@ use maud::{Markup, html};
 use super::chart::{Axis, Chart, Layer, Size};
 use super::flags::{self, colour};
 use super::page;
-use crate::alarm::{AlarmConfig, UNCONFIRMED};
-use crate::baseline::Baseline;
-use crate::event::{Flag, Summary};
 use crate::sink::html::{Curves, HtmlSink, Point, Why};
+use seepd_monitor::alarm::{AlarmConfig, UNCONFIRMED};
+use seepd_monitor::baseline::Baseline;
+use seepd_monitor::event::{Flag, Summary};
 
 /// What the page shows.
 pub struct ReportPage<'a> {
@@ -253,7 +253,7 @@ impl ReportPage<'_> {
                     td { @if !name.is_empty() { (name) ": " } (baseline.occasion) @if newest { " " b { "(in force)" } } }
                     td { (time_text(baseline.from_ns)) } td { (time_text(baseline.to_ns)) }
                     td.number { (baseline.cycles) @if baseline.left_out > 0 { " (" (baseline.left_out) " left out)" } }
-                    td.number { (format!("{:.1e}", baseline.response_deviation_m2)) }
+                    td.number { (format!("{:.1e}", baseline.residual_deviation_m2)) }
                     td { (format!("{:.1e} ({:.1e} … {:.1e})", baseline.absolute_leak_area_m2,
                         baseline.absolute_interval90_m2[0], baseline.absolute_interval90_m2[1])) }
                     td { (baseline.remarks.join("; ")) }

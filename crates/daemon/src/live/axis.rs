@@ -9,18 +9,18 @@ use seepd_signals::{Sample, Signal};
 use tokio::sync::{mpsc, watch};
 
 use super::clock::Clock;
-use super::commission::Record;
+use super::commission::BaselineRecord;
 use super::hub::{AxisStatus, BaselineStatus, Course, DutyCycleStatus, Hub, LIVE_POINTS, Order, TrendPoint};
 use super::state::{AxisState, DutyCycleState, Keeper, LastEstimate};
 use super::systemd::ENDED;
-use crate::alarm::{Alarm, AlarmState, Latch};
-use crate::baseline::Finding;
-use crate::baseline::trend::TimeTo;
-use crate::config::{Config, NamedModel, Pace};
-use crate::event::{CycleLine, Event, Flag, NoticeKind};
-use crate::pipeline::{DutyCycle, Monitor, Pipeline, PipelineConfig};
+use crate::config::{AxisConfig, Pace};
+use crate::live::source::{Input, LiveSource, SourceState};
 use crate::sink::recording::Recorder;
-use crate::source::live::{Input, LiveSource, SourceState};
+use seepd_monitor::alarm::{Alarm, AlarmState, Latch};
+use seepd_monitor::baseline::CusumFinding;
+use seepd_monitor::baseline::trend::TimeTo;
+use seepd_monitor::event::{CycleLine, Event, Flag, NoticeKind};
+use seepd_monitor::pipeline::{DutyCycle, Monitor, Pipeline};
 
 /// Time between points of the dashboard's curves, ns.
 const POINT_NS: i64 = 20_000_000;
@@ -28,7 +28,7 @@ const POINT_NS: i64 = 20_000_000;
 const TELL_NS: i64 = 200_000_000;
 
 /// What an axis needs beside its configuration.
-pub struct Surroundings {
+pub struct AxisContext {
     /// Where it tells.
     pub hub: Arc<Hub>,
     /// What keeps its state.
@@ -45,34 +45,33 @@ pub struct Surroundings {
 
 /// Runs an axis until it is told to stop or its log ends. `true` where the log ended.
 pub async fn run(
-    config: Config,
-    models: Vec<NamedModel>,
+    config: AxisConfig,
+    duty_cycles: Vec<DutyCycle>,
     mut source: LiveSource,
-    around: Surroundings,
+    context: AxisContext,
     mut orders: mpsc::Receiver<Order>,
     mut stop: watch::Receiver<bool>,
 ) -> bool {
-    let duty_cycles = DutyCycle::all(&models);
-    let mut pipeline = match Pipeline::new(PipelineConfig::new(&config, &duty_cycles)) {
+    let mut pipeline = match Pipeline::new(config.monitor(duty_cycles)) {
         Ok(pipeline) => pipeline,
         Err(error) => {
             tracing::error!(axis = config.axis, "{error}");
             return true;
         }
     };
-    let mut desk = Desk::new(&config, &pipeline, &around);
-    let state = around.keeper.restored(&config.axis);
+    let mut reporter = AxisReporter::new(&config, &pipeline, &context);
+    let state = context.keeper.restored(&config.axis);
     let of_duty_cycles = state.as_ref().map(|state| &state.duty_cycles);
-    for (record, monitor) in desk.records.iter_mut().zip(pipeline.monitors_mut()) {
+    for (record, monitor) in reporter.records.iter_mut().zip(pipeline.monitors_mut()) {
         let state = of_duty_cycles.and_then(|states| states.get(monitor.name().unwrap_or_default()));
         record.commission(monitor, state.copied().unwrap_or_default());
     }
     if let Some(state) = state {
         pipeline.restore(Alarm::from(state.alarm));
-        desk.latch = state.latch;
-        desk.estimate = state.estimate;
+        reporter.latch = state.latch;
+        reporter.estimate = state.estimate;
     }
-    desk.tell(&pipeline, &source);
+    reporter.tell(&pipeline, &source);
     let mut samples = Vec::with_capacity(1024);
     loop {
         samples.clear();
@@ -81,39 +80,39 @@ pub async fn run(
             _ = stop.changed() => break false,
             Some(order) = orders.recv() => {
                 match order {
-                    Order::Acknowledge => desk.acknowledge(&pipeline),
-                    Order::Renew => desk.renew(&mut pipeline),
+                    Order::Acknowledge => reporter.acknowledge(&pipeline),
+                    Order::Renew => reporter.renew(&mut pipeline),
                 }
                 continue;
             }
             input = source.read(&mut samples) => input,
         };
-        desk.take(&mut pipeline, &samples, &around.recorder);
+        reporter.take(&mut pipeline, &samples, &context.recorder);
         let ended = matches!(input, Input::End(_));
         if let Input::End(error) = &input {
             if let Some(error) = error {
                 tracing::error!(axis = config.axis, "{error}");
             }
-            pipeline.finish(&mut |event| desk.publish(event));
+            pipeline.finish(&mut |event| reporter.publish(event));
         } else {
-            desk.heed_silence(&mut pipeline, &input);
+            reporter.heed_silence(&mut pipeline, &input);
         }
-        desk.tell_now_and_then(&pipeline, &source, ended);
-        around.progress.fetch_add(1, Ordering::Relaxed);
+        reporter.tell_now_and_then(&pipeline, &source, ended);
+        context.progress.fetch_add(1, Ordering::Relaxed);
         if ended {
-            around.progress.store(ENDED, Ordering::Relaxed);
+            context.progress.store(ENDED, Ordering::Relaxed);
             break true;
         }
     }
 }
 
 /// Between pipeline and hub.
-struct Desk<'a> {
-    config: &'a Config,
-    around: &'a Surroundings,
+struct AxisReporter<'a> {
+    config: &'a AxisConfig,
+    context: &'a AxisContext,
     latch: Latch,
     /// Baselines on disk, one record a duty cycle.
-    records: Vec<Record>,
+    records: Vec<BaselineRecord>,
     /// A baseline has been learned and is not on disk yet.
     learned: bool,
     /// Why it is not; told once.
@@ -144,15 +143,15 @@ struct LastCycle {
     delay_s: Option<f64>,
 }
 
-impl<'a> Desk<'a> {
-    fn new(config: &'a Config, pipeline: &Pipeline<'_>, around: &'a Surroundings) -> Self {
-        let now_ns = around.clock.now_ns();
-        let period_s = DutyCycle::longest_period_s(pipeline.config().duty_cycles);
+impl<'a> AxisReporter<'a> {
+    fn new(config: &'a AxisConfig, pipeline: &Pipeline, context: &'a AxisContext) -> Self {
+        let now_ns = context.clock.now_ns();
+        let period_s = DutyCycle::longest_period_s(&pipeline.config().duty_cycles);
         let cycle_points = 3.5 * period_s * 1e9 / POINT_NS as f64;
-        let record = |monitor| Record::open(&around.folder, config, monitor);
-        Desk {
+        let record = |monitor| BaselineRecord::open(&context.folder, config, monitor);
+        AxisReporter {
             config,
-            around,
+            context,
             latch: Latch::default(),
             records: pipeline.monitors().iter().enumerate().map(record).collect(),
             learned: false,
@@ -178,7 +177,7 @@ impl<'a> Desk<'a> {
 
     fn take(
         &mut self,
-        pipeline: &mut Pipeline<'_>,
+        pipeline: &mut Pipeline,
         samples: &[Sample],
         recorder: &watch::Receiver<Option<Recorder>>,
     ) {
@@ -195,7 +194,7 @@ impl<'a> Desk<'a> {
             }
             pipeline.push(sample, &mut |event| self.publish(event));
         }
-        self.last_sample_ns = self.around.clock.now_ns();
+        self.last_sample_ns = self.context.clock.now_ns();
         if self.stale {
             self.stale = false;
             self.news = true;
@@ -221,12 +220,12 @@ impl<'a> Desk<'a> {
                 tracing::warn!(axis = notice.axis, cycle = notice.cycle, "{}", notice.text);
             }
         }
-        self.around.hub.publish_event(event);
+        self.context.hub.publish_event(event);
     }
 
     fn note_cycle(&mut self, line: &CycleLine<'_>) {
         let end_ns = line.t_end_ns();
-        let delay_ns = self.around.clock.now_ns().saturating_sub(self.sample_ns);
+        let delay_ns = self.context.clock.now_ns().saturating_sub(self.sample_ns);
         let delay_s = (self.pace() == Pace::Recorded).then_some(delay_ns.max(0) as f64 / 1e9);
         self.last = Some(LastCycle { cycle: line.cycle, end_ns, delay_s });
         let course = Course {
@@ -259,7 +258,7 @@ impl<'a> Desk<'a> {
             leak_flow_lpm,
             flag: line.flag,
         });
-        self.around.hub.update_axis(line.axis, |_, view| {
+        self.context.hub.update_axis(line.axis, |_, view| {
             view.add_course(course);
             if let Some(point) = point {
                 view.add_trend(point);
@@ -279,7 +278,7 @@ impl<'a> Desk<'a> {
     }
 
     /// Raises staleness where nothing usable has come for long, and tells why once.
-    fn heed_silence(&mut self, pipeline: &mut Pipeline<'_>, input: &Input) {
+    fn heed_silence(&mut self, pipeline: &mut Pipeline, input: &Input) {
         let complaint = match input {
             Input::Down(why) => Some(why.clone()),
             Input::Samples => None,
@@ -291,7 +290,7 @@ impl<'a> Desk<'a> {
             }
             self.complaint = complaint;
         }
-        let silent_ns = self.around.clock.now_ns().saturating_sub(self.last_sample_ns);
+        let silent_ns = self.context.clock.now_ns().saturating_sub(self.last_sample_ns);
         if !self.stale && silent_ns as f64 > self.config.source.stale_after_s * 1e9 {
             self.stale = true;
             self.news = true;
@@ -300,25 +299,25 @@ impl<'a> Desk<'a> {
         }
     }
 
-    fn acknowledge(&mut self, pipeline: &Pipeline<'_>) {
+    fn acknowledge(&mut self, pipeline: &Pipeline) {
         let latched = self.latch.latched;
         if self.latch.acknowledge(pipeline.alarm().level()) {
             tracing::info!(axis = self.config.axis, latched = latched.map(Flag::name), "acknowledged");
-            let now_ns = self.around.clock.now_ns();
-            self.around.hub.publish_acknowledged(&self.config.axis, latched, now_ns);
+            let now_ns = self.context.clock.now_ns();
+            self.context.hub.publish_acknowledged(&self.config.axis, latched, now_ns);
         }
         self.news = true;
         self.keep(pipeline);
         let latch = self.latch;
-        self.around.hub.update_axis(&self.config.axis, |status, _| {
+        self.context.hub.update_axis(&self.config.axis, |status, _| {
             status.latched = latch.latched;
             status.acknowledged = latch.acknowledged;
         });
     }
 
     /// The seal has been replaced: estimates count from here, as soon as there is a baseline.
-    fn renew(&mut self, pipeline: &mut Pipeline<'_>) {
-        let has_begun = |(record, monitor): (&Record, &Monitor<'_>)| {
+    fn renew(&mut self, pipeline: &mut Pipeline) {
+        let has_begun = |(record, monitor): (&BaselineRecord, &Monitor)| {
             record.is_renewing() && monitor.learner().is_some_and(|learner| learner.cycles() == 0)
         };
         if self.records.iter().zip(pipeline.monitors()).all(has_begun) {
@@ -333,7 +332,7 @@ impl<'a> Desk<'a> {
     }
 
     /// Keeps a baseline that has been learned; one that the disk does not take is tried again after each cycle.
-    fn keep_baseline(&mut self, pipeline: &Pipeline<'_>) {
+    fn keep_baseline(&mut self, pipeline: &Pipeline) {
         if !self.learned {
             return;
         }
@@ -351,9 +350,9 @@ impl<'a> Desk<'a> {
         self.unsaved = unsaved;
     }
 
-    fn keep(&self, pipeline: &Pipeline<'_>) {
-        let of_duty_cycle = |(record, monitor): (&Record, &Monitor<'_>)| {
-            let state = DutyCycleState { drift: monitor.drift(), renewing: record.is_renewing() };
+    fn keep(&self, pipeline: &Pipeline) {
+        let of_duty_cycle = |(record, monitor): (&BaselineRecord, &Monitor)| {
+            let state = DutyCycleState { cusum: monitor.cusum(), renewing: record.is_renewing() };
             (monitor.name().unwrap_or_default().to_owned(), state)
         };
         let state = AxisState {
@@ -362,11 +361,11 @@ impl<'a> Desk<'a> {
             estimate: self.estimate,
             duty_cycles: self.records.iter().zip(pipeline.monitors()).map(of_duty_cycle).collect(),
         };
-        self.around.keeper.keep(&self.config.axis, state);
+        self.context.keeper.keep(&self.config.axis, state);
     }
 
-    fn tell_now_and_then(&mut self, pipeline: &Pipeline<'_>, source: &LiveSource, ended: bool) {
-        let now_ns = self.around.clock.now_ns();
+    fn tell_now_and_then(&mut self, pipeline: &Pipeline, source: &LiveSource, ended: bool) {
+        let now_ns = self.context.clock.now_ns();
         if self.news {
             self.latch.take(pipeline.alarm().level());
             self.keep_baseline(pipeline);
@@ -379,7 +378,7 @@ impl<'a> Desk<'a> {
         }
     }
 
-    fn tell(&mut self, pipeline: &Pipeline<'_>, source: &LiveSource) {
+    fn tell(&mut self, pipeline: &Pipeline, source: &LiveSource) {
         let alarm = pipeline.alarm();
         let mut health = source.health();
         if self.stale && health.state == SourceState::Receiving {
@@ -388,12 +387,12 @@ impl<'a> Desk<'a> {
         let (latch, stale, last, estimate) = (self.latch, self.stale, self.last, self.estimate);
         let monitors = pipeline.monitors();
         let finding = pipeline.finding();
-        let time_to_leak = self.time_to_leak.filter(|_| finding == Finding::Leak);
+        let time_to_leak = self.time_to_leak.filter(|_| finding == CusumFinding::Leak);
         let baseline = monitors.get(self.duty_cycle).map(BaselineStatus::of).unwrap_or_default();
         let duty_cycles = monitors.iter().filter_map(DutyCycleStatus::of).collect();
         let summary = pipeline.summary();
         let fresh = &mut self.points.fresh;
-        self.around.hub.update_axis(&self.config.axis, |status, view| {
+        self.context.hub.update_axis(&self.config.axis, |status, view| {
             *status = AxisStatus {
                 flag: alarm.flag(),
                 reason: alarm.reason(),

@@ -5,16 +5,17 @@ use std::path::{Path, PathBuf};
 use std::{fs, io};
 
 use super::state::{DutyCycleState, set_aside, write_durably};
-use crate::baseline::BaselineFile;
-use crate::config::Config;
-use crate::pipeline::Monitor;
+use crate::baseline_file;
+use crate::config::AxisConfig;
+use seepd_monitor::baseline::BaselineFile;
+use seepd_monitor::pipeline::Monitor;
 
 /// Cycles of a baseline that a person asks for where the configuration names none.
 const USUAL_CYCLES: usize = 50;
 
 /// Where a duty cycle's baselines are kept, and what is known of them.
 #[derive(Debug)]
-pub struct Record {
+pub struct BaselineRecord {
     path: PathBuf,
     file: BaselineFile,
     learn_cycles: usize,
@@ -24,14 +25,14 @@ pub struct Record {
     unsaved: bool,
 }
 
-impl Record {
+impl BaselineRecord {
     /// What an earlier run has learned of the duty cycle of that index, or else what the configuration names. A file that cannot be
     /// used is told of and set aside.
-    pub fn open(folder: &Path, config: &Config, (index, monitor): (usize, &Monitor<'_>)) -> Self {
+    pub fn open(folder: &Path, config: &AxisConfig, (index, monitor): (usize, &Monitor)) -> Self {
         let of_duty_cycle = monitor.name().map_or(String::new(), |name| format!("-{name}"));
         let path = folder.join("axes").join(&config.axis).join(format!("baseline{of_duty_cycle}.json"));
         let model = monitor.model();
-        let read = |file: &Path| BaselineFile::read(file, &config.axis, model);
+        let read = |file: &Path| baseline_file::read(file, &config.axis, model);
         if !path.exists() {
             // Where version 0.1.0 kept it: a name that two axes could share.
             let former = folder.join(format!("baseline-{}{of_duty_cycle}.json", config.axis));
@@ -57,7 +58,13 @@ impl Record {
             read.inspect_err(|failure| tracing::error!(axis = config.axis, "{}", failure.message)).ok()
         });
         let file = file.unwrap_or_else(|| BaselineFile::new(&config.axis, model));
-        Record { path, file, learn_cycles: config.baseline.learn_cycles, renewing: false, unsaved: false }
+        BaselineRecord {
+            path,
+            file,
+            learn_cycles: config.baseline.learn_cycles,
+            renewing: false,
+            unsaved: false,
+        }
     }
 
     /// Whether a new baseline is being learned in the place of an older one.
@@ -66,12 +73,12 @@ impl Record {
     }
 
     /// Sets a monitor on its way as an earlier run left it: with the newest baseline, or to learn one.
-    pub fn commission(&mut self, monitor: &mut Monitor<'_>, state: DutyCycleState) {
+    pub fn commission(&mut self, monitor: &mut Monitor, state: DutyCycleState) {
         match self.file.newest() {
             _ if state.renewing => self.renew(monitor),
             Some(baseline) => {
                 monitor.follow(baseline.clone());
-                state.drift.into_iter().for_each(|drift| monitor.restore_drift(drift));
+                state.cusum.into_iter().for_each(|cusum| monitor.restore_cusum(cusum));
             }
             None if self.learn_cycles > 0 => {
                 let begun = monitor.learn("commissioning", self.learn_cycles);
@@ -82,7 +89,7 @@ impl Record {
     }
 
     /// Learns a new baseline from the next cycles; the older ones stay in the record. Nothing changes where the model cannot compare.
-    pub fn renew(&mut self, monitor: &mut Monitor<'_>) {
+    pub fn renew(&mut self, monitor: &mut Monitor) {
         let cycles = if self.learn_cycles > 0 { self.learn_cycles } else { USUAL_CYCLES };
         match monitor.learn("seal replaced", cycles) {
             Ok(()) => self.renewing = true,
@@ -95,7 +102,7 @@ impl Record {
     ///
     /// # Errors
     /// Writing failed; it counts until the daemon ends.
-    pub fn keep(&mut self, monitor: &Monitor<'_>) -> io::Result<()> {
+    pub fn keep(&mut self, monitor: &Monitor) -> io::Result<()> {
         if let Some(baseline) = monitor.baseline().filter(|baseline| self.file.newest() != Some(baseline)) {
             self.file.baselines.push(baseline.clone());
             self.unsaved = true;
@@ -118,21 +125,23 @@ fn take_over(from: &Path, to: &Path) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::Arc;
+
     use crate::config::embedded_model;
-    use crate::pipeline::{DutyCycle, Pipeline, PipelineConfig};
+    use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
     /// Axis `press` with a duty cycle `1` and axis `press-1` had one file; what is in it is the latter's.
     #[test]
     fn no_two_duty_cycles_share_a_file() {
         let folder = tempfile::tempdir().unwrap();
-        let model = embedded_model().unwrap();
+        let model = Arc::new(embedded_model().unwrap());
         let former = folder.path().join("baseline-press-1.json");
         fs::write(&former, BaselineFile::new("press-1", &model).to_json().unwrap()).unwrap();
         let open = |axis: &str, name: Option<&str>| {
-            let config = Config { axis: axis.into(), ..Config::default() };
-            let duty_cycles = [DutyCycle { name, ..DutyCycle::only(&model) }];
-            let pipeline = Pipeline::new(PipelineConfig::new(&config, &duty_cycles)).unwrap();
-            Record::open(folder.path(), &config, (0, &pipeline.monitors()[0])).path
+            let config = AxisConfig { axis: axis.into(), ..AxisConfig::default() };
+            let duty_cycle = DutyCycle { name: name.map(str::to_owned), model: Arc::clone(&model) };
+            let pipeline = Pipeline::new(config.monitor(vec![duty_cycle])).unwrap();
+            BaselineRecord::open(folder.path(), &config, (0, &pipeline.monitors()[0])).path
         };
         let of_duty_cycle = open("press", Some("1"));
         assert_eq!(of_duty_cycle, folder.path().join("axes/press/baseline-1.json"));

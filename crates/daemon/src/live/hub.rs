@@ -9,12 +9,12 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, watch};
 
-use crate::baseline::Finding;
-use crate::energy::Loss;
-use crate::event::{Event, Flag, FlagEvent};
 use crate::live::clock;
-use crate::pipeline::Monitor;
-use crate::source::live::SourceHealth;
+use crate::live::source::SourceHealth;
+use seepd_monitor::baseline::CusumFinding;
+use seepd_monitor::energy::Loss;
+use seepd_monitor::event::{Event, Flag, FlagEvent};
+use seepd_monitor::pipeline::Monitor;
 
 /// Cycles whose course is kept for the dashboard.
 const COURSES: usize = 6;
@@ -67,7 +67,7 @@ pub struct AxisStatus {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub duty_cycles: Vec<DutyCycleStatus>,
     /// What the sums over cycles say against the baseline.
-    pub finding: Finding,
+    pub finding: CusumFinding,
     /// Number of the last cycle.
     pub cycle: Option<u64>,
     /// End of the last cycle, ns on the daemon's line of time.
@@ -107,7 +107,7 @@ impl AxisStatus {
             time_to_leak_range_s: None,
             baseline: BaselineStatus::default(),
             duty_cycles: Vec::new(),
-            finding: Finding::None,
+            finding: CusumFinding::None,
             cycle: None,
             t_last_cycle_ns: None,
             publication_delay_s: None,
@@ -132,7 +132,7 @@ pub struct DutyCycleStatus {
 
 impl DutyCycleStatus {
     /// What a monitor is at; nothing for the only one of an axis.
-    pub fn of(monitor: &Monitor<'_>) -> Option<Self> {
+    pub fn of(monitor: &Monitor) -> Option<Self> {
         let name = monitor.name()?.to_owned();
         Some(DutyCycleStatus { name, cycles: monitor.cycles(), baseline: BaselineStatus::of(monitor) })
     }
@@ -151,7 +151,7 @@ pub struct BaselineStatus {
 
 impl BaselineStatus {
     /// What a duty cycle's monitor is at.
-    pub fn of(monitor: &Monitor<'_>) -> Self {
+    pub fn of(monitor: &Monitor) -> Self {
         BaselineStatus {
             learned_cycles: monitor.baseline().map(|baseline| baseline.cycles),
             occasion: monitor.baseline().map(|baseline| baseline.occasion.clone()),
@@ -328,7 +328,7 @@ struct TestAlarm<'a> {
     message: &'static str,
 }
 
-struct Axis {
+struct KnownAxis {
     status: AxisStatus,
     view: AxisView,
     orders: mpsc::Sender<Order>,
@@ -426,7 +426,7 @@ impl Subscriber {
 
 #[derive(Default)]
 struct Inner {
-    axes: BTreeMap<String, Axis>,
+    axes: BTreeMap<String, KnownAxis>,
     sinks: BTreeMap<String, SinkStatus>,
     subscribers: Vec<Subscriber>,
     history: VecDeque<Arc<Publication>>,
@@ -462,7 +462,7 @@ impl Hub {
     pub fn add_axis(&self, status: AxisStatus, orders: mpsc::Sender<Order>) {
         let mut inner = self.lock();
         let view = inner.axes.remove(&status.axis).map(|axis| axis.view).unwrap_or_default();
-        inner.axes.insert(status.axis.clone(), Axis { status, view, orders });
+        inner.axes.insert(status.axis.clone(), KnownAxis { status, view, orders });
     }
 
     /// Removes an axis.
@@ -506,7 +506,7 @@ impl Hub {
 
     /// Trends of all axes by name.
     pub fn trends(&self) -> BTreeMap<String, Vec<TrendPoint>> {
-        let trend = |axis: &Axis| axis.view.trend.iter().copied().collect();
+        let trend = |axis: &KnownAxis| axis.view.trend.iter().copied().collect();
         self.lock().axes.iter().map(|(name, axis)| (name.clone(), trend(axis))).collect()
     }
 

@@ -8,6 +8,8 @@ pub mod clock;
 pub mod commission;
 pub mod hub;
 pub mod journal;
+pub mod socketcan;
+pub mod source;
 pub mod spool;
 pub mod state;
 pub mod systemd;
@@ -27,14 +29,16 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 
-use crate::config::{CanOutConfig, Config, HttpConfig, MqttConfig, NamedModel, RecordingConfig};
+use seepd_monitor::pipeline::DutyCycle;
+
+use crate::config::{AxisConfig, CanOutConfig, DaemonConfig, HttpConfig, MqttConfig, RecordingConfig};
 use crate::failure::{Code, Failure};
+use crate::live::source::LiveSource;
 use crate::sink::can::{self, Layout};
 use crate::sink::http::{self, Http};
 use crate::sink::mqtt::{self, Broker};
 use crate::sink::recording::{self, Recorder};
-use crate::source::live::LiveSource;
-use axis::Surroundings;
+use axis::AxisContext;
 use clock::Clock;
 use hub::{AxisStatus, Hub};
 use state::{Keeper, Trends, read_trends, write_trends};
@@ -56,7 +60,7 @@ const EVENTS: usize = 4096;
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Where state goes: as configured, else where the service manager says, else `seepd-state`.
-pub fn state_folder(config: &Config) -> PathBuf {
+pub fn state_folder(config: &DaemonConfig) -> PathBuf {
     let of_service = || std::env::var_os("STATE_DIRECTORY").map(PathBuf::from);
     config.state_dir.clone().or_else(of_service).unwrap_or_else(|| "seepd-state".into())
 }
@@ -65,7 +69,7 @@ pub fn state_folder(config: &Config) -> PathBuf {
 ///
 /// # Errors
 /// [`Failure`] of the first that cannot.
-pub fn check_sinks(config: &Config) -> Result<(), Failure> {
+pub fn check_sinks(config: &DaemonConfig) -> Result<(), Failure> {
     sink_configs(config).iter().try_for_each(check_sink)
 }
 
@@ -83,7 +87,7 @@ fn check_sink(config: &SinkConfig) -> Result<(), Failure> {
 /// # Errors
 /// [`Failure`] where the configuration cannot be used, or no axis can be started.
 pub async fn run(path: &Path) -> Result<(), Failure> {
-    let config = Config::read(path)?;
+    let config = DaemonConfig::read(path)?;
     let mut daemon = Daemon::new(&config)?;
     // Before it is ready: whoever reloads it then must not end it.
     let signals = Signals::new()?;
@@ -120,7 +124,7 @@ impl Signals {
 
 /// An axis at work.
 struct RunningAxis {
-    config: Config,
+    config: AxisConfig,
     files: Stamps,
     stop: watch::Sender<bool>,
     task: JoinHandle<bool>,
@@ -193,13 +197,13 @@ struct Daemon {
 
 /// An axis whose files have been read and found good.
 struct ReadyAxis {
-    config: Config,
-    models: Vec<NamedModel>,
+    config: AxisConfig,
+    duty_cycles: Vec<DutyCycle>,
     source: LiveSource,
 }
 
 impl Daemon {
-    fn new(config: &Config) -> Result<Self, Failure> {
+    fn new(config: &DaemonConfig) -> Result<Self, Failure> {
         let state_folder = state_folder(config);
         Ok(Daemon {
             clock: Clock::start(),
@@ -217,7 +221,7 @@ impl Daemon {
     }
 
     /// Starts sinks, then axes. An axis that cannot be started leaves the others alone, unless it is the only one.
-    fn start(&mut self, config: &Config) -> Result<(), Failure> {
+    fn start(&mut self, config: &DaemonConfig) -> Result<(), Failure> {
         let sinks = sink_configs(config);
         // A file that is named and missing is a fault of the configuration, which no new start mends.
         sinks
@@ -226,7 +230,7 @@ impl Daemon {
             .map_err(|failure| Failure::new(Code::Configuration, failure.message))?;
         sinks.into_iter().for_each(|sink| self.start_sink(sink));
         let mut first_failure = None;
-        for axis in &config.axis_tables() {
+        for axis in &config.axes {
             match self.prepare(axis) {
                 Ok(ready) => self.start_axis(ready),
                 Err(failure) => {
@@ -242,14 +246,14 @@ impl Daemon {
         }
     }
 
-    fn prepare(&self, config: &Config) -> Result<ReadyAxis, Failure> {
-        let models = config.load_models()?;
-        let rate_hz = models.first().map_or(0.0, |first| first.model.file().sample_rate_hz);
+    fn prepare(&self, config: &AxisConfig) -> Result<ReadyAxis, Failure> {
+        let duty_cycles = config.load_models()?;
+        let rate_hz = duty_cycles.first().map_or(0.0, |first| first.model.file().sample_rate_hz);
         let source = LiveSource::open(config, rate_hz, self.clock)?;
-        Ok(ReadyAxis { config: config.clone(), models, source })
+        Ok(ReadyAxis { config: config.clone(), duty_cycles, source })
     }
 
-    fn show_unusable(&self, config: &Config, failure: &Failure) {
+    fn show_unusable(&self, config: &AxisConfig, failure: &Failure) {
         let (orders, _) = mpsc::channel(1);
         let mut status = AxisStatus::new(&config.axis, config.reference_dp_pa);
         status.reason = Some("unusable_configuration");
@@ -259,7 +263,7 @@ impl Daemon {
     }
 
     fn start_axis(&mut self, ready: ReadyAxis) {
-        let ReadyAxis { config, models, source } = ready;
+        let ReadyAxis { config, duty_cycles, source } = ready;
         let (order_sender, orders) = mpsc::channel(8);
         let (stop, stopped) = watch::channel(false);
         let progress = Arc::new(AtomicU64::new(0));
@@ -269,7 +273,7 @@ impl Daemon {
                 trend.into_iter().for_each(|point| view.add_trend(point));
             });
         }
-        let around = Surroundings {
+        let context = AxisContext {
             hub: Arc::clone(&self.hub),
             keeper: self.keeper.clone(),
             recorder: self.recorder.subscribe(),
@@ -278,7 +282,7 @@ impl Daemon {
             progress: Arc::clone(&progress),
         };
         let files = stamps(axis_files(&config));
-        let task = tokio::spawn(axis::run(config.clone(), models, source, around, orders, stopped));
+        let task = tokio::spawn(axis::run(config.clone(), duty_cycles, source, context, orders, stopped));
         self.axes.push(RunningAxis { config, files, stop, task, progress });
         self.watch_axes();
     }
@@ -450,7 +454,7 @@ impl Daemon {
     }
 
     async fn try_reload(&mut self, path: &Path) -> Result<(), Failure> {
-        let config = Config::read(path)?;
+        let config = DaemonConfig::read(path)?;
         if state_folder(&config) != self.state_folder {
             return Err(Failure::configuration(
                 path,
@@ -459,14 +463,14 @@ impl Daemon {
         }
         let sinks = sink_configs(&config);
         sinks.iter().try_for_each(check_sink)?;
-        let same = |running: &RunningAxis, axis: &Config| {
+        let same = |running: &RunningAxis, axis: &AxisConfig| {
             running.config == *axis
                 && running.files == stamps(axis_files(axis))
                 && !running.task.is_finished()
         };
-        let axes = config.axis_tables();
+        let axes = &config.axes;
         let mut ready = Vec::new();
-        for axis in &axes {
+        for axis in axes {
             if !self.axes.iter().any(|running| same(running, axis)) {
                 ready.push(self.prepare(axis)?);
             }
@@ -541,7 +545,7 @@ impl Daemon {
     }
 }
 
-fn remark(config: &Config) {
+fn remark(config: &DaemonConfig) {
     config.remarks().iter().for_each(|remark| tracing::warn!("{remark}"));
 }
 
@@ -596,19 +600,20 @@ async fn serve(site: Http, config: HttpConfig, hub: Arc<Hub>, mut stop: watch::R
     }
 }
 
-fn sink_configs(config: &Config) -> Vec<SinkConfig> {
-    let names: Vec<String> = config.axes().iter().map(|axis| axis.axis.clone()).collect();
-    let recording = config.recording.clone().map(|recording| SinkConfig::Recording(recording, names.clone()));
-    let can = config.can_out.iter().map(|frame| {
+fn sink_configs(config: &DaemonConfig) -> Vec<SinkConfig> {
+    let names: Vec<String> = config.axes.iter().map(|axis| axis.axis.clone()).collect();
+    let sinks = config.sinks.clone();
+    let recording = sinks.recording.map(|recording| SinkConfig::Recording(recording, names.clone()));
+    let can = sinks.can_out.into_iter().map(|frame| {
         let axis = if frame.axis.is_empty() {
             names.first().cloned().unwrap_or_default()
         } else {
             frame.axis.clone()
         };
-        SinkConfig::Can(frame.clone(), axis)
+        SinkConfig::Can(frame, axis)
     });
-    let http = config.http.clone().map(SinkConfig::Http);
-    let mqtt = config.mqtt.clone().map(SinkConfig::Mqtt);
+    let http = sinks.http.map(SinkConfig::Http);
+    let mqtt = sinks.mqtt.map(SinkConfig::Mqtt);
     recording.into_iter().chain(http).chain(mqtt).chain(can).collect()
 }
 
@@ -620,7 +625,7 @@ fn stamps<'a>(files: impl IntoIterator<Item = &'a PathBuf>) -> Stamps {
 }
 
 /// The files that an axis is made of.
-fn axis_files(config: &Config) -> impl Iterator<Item = &PathBuf> {
+fn axis_files(config: &AxisConfig) -> impl Iterator<Item = &PathBuf> {
     let of_axis = [&config.model, &config.dbc, &config.baseline.file].into_iter().flatten();
     let of_duty_cycles = config.duty_cycles.iter();
     of_axis.chain(

@@ -14,7 +14,7 @@ use serde_json::value::RawValue;
 
 use crate::failure::Failure;
 use crate::live::state::write_durably;
-use crate::side_file;
+use seepd_settings::side_file;
 
 /// Version of the entries that are written.
 const SCHEMA: &str = "seepd.spool/2";

@@ -13,11 +13,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 
-use crate::alarm::{AlarmState, Latch};
-use crate::baseline::Drift;
 use crate::failure::{Code, Failure};
 use crate::live::hub::TrendPoint;
-use crate::side_file;
+use seepd_monitor::alarm::{AlarmState, Latch};
+use seepd_monitor::baseline::Cusum;
+use seepd_settings::side_file;
 
 /// Version of the file that is written.
 const SCHEMA: &str = "seepd.state/2";
@@ -48,8 +48,9 @@ pub struct AxisState {
 /// What is kept of a duty cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct DutyCycleState {
-    /// The sums over cycles against the baseline.
-    pub drift: Option<Drift>,
+    /// The CUSUM of the leak residual against the baseline.
+    #[serde(rename = "drift")]
+    pub cusum: Option<Cusum>,
     /// Whether a new baseline is being learned in the place of an older one.
     pub renewing: bool,
 }
@@ -294,8 +295,8 @@ pub fn set_aside(path: &Path) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alarm::{Alarm, AlarmConfig};
-    use crate::event::Flag;
+    use seepd_monitor::alarm::{Alarm, AlarmConfig};
+    use seepd_monitor::event::Flag;
 
     fn leaking() -> AlarmState {
         let mut alarm = Alarm::default();
@@ -313,7 +314,7 @@ mod tests {
         let latch = Latch { latched: Some(Flag::Leak), acknowledged: true };
         let estimate =
             Some(LastEstimate { leak_area_m2: 1e-7, interval90_m2: [0.9e-7, 1.1e-7], leak_flow_lpm: 0.5 });
-        let renewing = DutyCycleState { drift: None, renewing: true };
+        let renewing = DutyCycleState { cusum: None, renewing: true };
         let duty_cycles = BTreeMap::from([("long".to_owned(), renewing)]);
         let state = AxisState { latch, estimate, duty_cycles, ..AxisState::of_alarm(leaking()) };
         keeper.keep("press", state.clone());

@@ -10,12 +10,13 @@ use nix::sys::socket::{MsgFlags, send};
 use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
 use tokio::sync::watch;
 
-use crate::can::bit_field::BitField;
-use crate::can::{Content, Frame, Identifier, linux};
-use crate::config::{CanOutConfig, CanValue, identifier};
-use crate::event::Flag;
+use crate::config::{CanOutConfig, CanValue};
 use crate::failure::{Code, Failure};
 use crate::live::hub::{AxisStatus, Hub};
+use seepd_logs::can::bit_field::BitField;
+use seepd_logs::can::{Content, Frame, Identifier, linux};
+use seepd_logs::identifier;
+use seepd_monitor::event::Flag;
 
 /// Wait before an interface that is not there is looked for again.
 const RETRY: Duration = Duration::from_millis(500);
@@ -38,7 +39,7 @@ impl Layout {
     pub fn new(config: &CanOutConfig) -> Result<Self, Failure> {
         let wrong = |what| Failure::new(Code::Configuration, what);
         Ok(Layout {
-            identifier: identifier(config.id, config.extended).map_err(wrong)?,
+            identifier: identifier(config.id, config.extended)?,
             length: config.length,
             fields: config.places().map_err(wrong)?,
         })

@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use crate::event::{CycleLine, Event};
+use seepd_monitor::event::{CycleLine, Event};
 
 /// Writes the header row at the first cycle with features, then a row a cycle.
 pub struct CsvSink<W: Write> {

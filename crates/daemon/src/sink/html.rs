@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 use seepd_signals::{Sample, Signal};
 
-use crate::event::{CycleLine, Event, FeatureValues, Flag, FlagEvent, Notice};
-use crate::pipeline::DutyCycle;
+use seepd_monitor::event::{CycleLine, Event, FeatureValues, Flag, FlagEvent, Notice};
+use seepd_monitor::pipeline::DutyCycle;
 
 /// Points of a cycle's curve.
 pub const CURVE_BINS: usize = 400;
@@ -136,13 +136,13 @@ pub struct HtmlSink {
 impl HtmlSink {
     /// A collector that draws the present command beside the first cycles with an estimate below a flow, L/min; flags need a few cycles to
     /// rise, so that they do not tell of the first ones. Of several duty cycles the first one's command is drawn.
-    pub fn new(duty_cycles: &[DutyCycle<'_>], before_below_lpm: f64) -> Self {
+    pub fn new(duty_cycles: &[DutyCycle], before_below_lpm: f64) -> Self {
         let first = duty_cycles.first().map(|first| first.model.file());
         let rate_hz = first.map_or(0.0, |first| first.sample_rate_hz);
         let ring_samples = (PERIODS_HELD * DutyCycle::longest_period_s(duty_cycles) * rate_hz) as usize;
         HtmlSink {
             period_s: first.map_or(1.0, |first| first.cycle.period_s),
-            drawn: duty_cycles.first().and_then(|first| first.name).map(str::to_owned),
+            drawn: duty_cycles.first().and_then(|first| first.name.clone()),
             feature_names: DutyCycle::feature_names(duty_cycles),
             before_below_lpm,
             ring: VecDeque::with_capacity(ring_samples),

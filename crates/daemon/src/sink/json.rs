@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use serde::Serialize;
 
-use crate::event::{Event, Summary};
+use seepd_monitor::event::{Event, Summary};
 
 /// Writes a cycle's line. Changes of flag show in the cycles' flags and, by themselves, in MCAP.
 ///

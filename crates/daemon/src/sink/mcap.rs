@@ -8,7 +8,7 @@ use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
-use crate::event::Event;
+use seepd_monitor::event::Event;
 
 /// Library name in the files' header.
 const LIBRARY: &str = concat!("seepd ", env!("CARGO_PKG_VERSION"));

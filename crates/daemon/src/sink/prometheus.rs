@@ -9,9 +9,9 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 
-use crate::baseline::Finding;
-use crate::event::Flag;
 use crate::live::hub::{AxisStatus, SinkStatus};
+use seepd_monitor::baseline::CusumFinding;
+use seepd_monitor::event::Flag;
 
 /// Media type of the text.
 pub const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -91,7 +91,7 @@ fn register_leak(registry: &mut Registry, axes: &[AxisStatus]) {
 }
 
 fn register_baseline(registry: &mut Registry, axes: &[AxisStatus]) {
-    const FINDINGS: [Finding; 3] = [Finding::None, Finding::Leak, Finding::Improved];
+    const FINDINGS: [CusumFinding; 3] = [CusumFinding::None, CusumFinding::Leak, CusumFinding::Improved];
     let with = |value: fn(&AxisStatus) -> Option<f64>| {
         axes.iter().filter_map(move |axis| value(axis).map(|value| (axis, value)))
     };
@@ -225,7 +225,7 @@ mod tests {
             "{without}"
         );
         status.baseline.learned_cycles = Some(50);
-        status.finding = Finding::Leak;
+        status.finding = CusumFinding::Leak;
         (status.time_to_leak_s, status.time_to_leak_range_s) = (Some(3600.0), Some([1800.0, 7200.0]));
         let with = text(&[status], &[]).unwrap();
         for line in [

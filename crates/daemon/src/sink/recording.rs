@@ -40,7 +40,7 @@ const LOOKS_AFTER_FAILURE: u32 = 200;
 /// The recording's name among the sinks.
 pub const SINK: &str = "recording";
 
-enum Record {
+enum RecordingEntry {
     /// A sample of the axis with this index.
     Sample(u16, Sample),
     Event(Arc<Publication>),
@@ -107,7 +107,7 @@ pub fn start(
     let axes: Arc<[String]> = axes.into();
     let lost = Arc::new(AtomicU64::new(0));
     let recorder = Recorder { samples, events, axes: Arc::clone(&axes), lost: Arc::clone(&lost) };
-    let tape = Tape {
+    let writer = RecordingWriter {
         shelf: Shelf { folder: folder.to_owned(), config: config.clone() },
         axes,
         hub,
@@ -118,12 +118,12 @@ pub fn start(
         sent: 0,
         thrown_away: 0,
     };
-    let thread = thread::Builder::new().name("recording".into()).spawn(move || tape.run(&inbox));
+    let thread = thread::Builder::new().name("recording".into()).spawn(move || writer.run(&inbox));
     let thread = thread.map_err(|error| Failure::writing(folder, error))?;
     Ok((recorder, thread))
 }
 
-struct Tape {
+struct RecordingWriter {
     shelf: Shelf,
     axes: Arc<[String]>,
     hub: Arc<Hub>,
@@ -139,7 +139,7 @@ struct Tape {
     thrown_away: u64,
 }
 
-impl Tape {
+impl RecordingWriter {
     fn run(mut self, inbox: &Inbox) {
         let mut looks = 0u32;
         while !self.drain(inbox) {
@@ -162,10 +162,10 @@ impl Tape {
         let mut ending = false;
         loop {
             let record = match inbox.events.try_recv() {
-                Ok(event) => Record::Event(event),
+                Ok(event) => RecordingEntry::Event(event),
                 Err(_) if ending => return true,
                 Err(_) => match inbox.samples.try_recv() {
-                    Ok(Some((axis, sample))) => Record::Sample(axis, sample),
+                    Ok(Some((axis, sample))) => RecordingEntry::Sample(axis, sample),
                     Err(TryRecvError::Empty) => return false,
                     Ok(None) | Err(TryRecvError::Disconnected) => {
                         ending = true; // once the last events are written
@@ -186,21 +186,21 @@ impl Tape {
     }
 
     /// Writes a record; `true` where it is time to look at the file's size.
-    fn write(&mut self, record: &Record) -> io::Result<bool> {
+    fn write(&mut self, record: &RecordingEntry) -> io::Result<bool> {
         let time_ns = match record {
-            Record::Sample(_, sample) => sample.time_ns,
-            Record::Event(event) => event.t_ns,
+            RecordingEntry::Sample(_, sample) => sample.time_ns,
+            RecordingEntry::Event(event) => event.t_ns,
         };
         let file = match &mut self.file {
             Some(file) => file,
             none => none.insert(TapeFile::create(&self.shelf, time_ns)?),
         };
         match record {
-            Record::Sample(axis, sample) => {
+            RecordingEntry::Sample(axis, sample) => {
                 let name = self.axes.get(usize::from(*axis)).map_or("axis", String::as_str);
                 file.write_sample(name, sample)?;
             }
-            Record::Event(event) => file.write_event(event)?,
+            RecordingEntry::Event(event) => file.write_event(event)?,
         }
         file.buffered += 1;
         Ok(file.buffered.is_multiple_of(RECORDS_PER_SIZE))

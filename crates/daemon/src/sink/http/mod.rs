@@ -31,8 +31,8 @@ use crate::config::HttpConfig;
 use crate::failure::Failure;
 use crate::live::clock::{self, Clock};
 use crate::live::hub::{AxisStatus, Hub, NotTaken, Order, SinkStatus};
-use crate::side_file;
-use crate::source::live::SourceState;
+use crate::live::source::SourceState;
+use seepd_settings::side_file;
 
 /// The dashboard's name among the sinks.
 pub const SINK: &str = "http";
@@ -378,7 +378,7 @@ fn named(name: &str, value: &impl Serialize) -> sse::Event {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::event::Flag;
+    use seepd_monitor::event::Flag;
 
     fn site() -> (Arc<Site>, watch::Sender<bool>) {
         let (keep_open, stop) = watch::channel(false);

@@ -13,7 +13,7 @@ use tokio::task::JoinHandle;
 
 use crate::config::{MqttConfig, MqttVersion};
 use crate::failure::{Code, Failure};
-use crate::side_file;
+use seepd_settings::side_file;
 
 /// Time after which a silent broker is asked whether it is there.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
@@ -49,7 +49,7 @@ impl Client {
 }
 
 /// What a connection tells.
-pub(super) enum Told {
+pub(super) enum ConnectionEvent {
     Connected,
     Confirmed,
     /// The broker will never take the event, and why.
@@ -112,7 +112,7 @@ impl Link {
 /// A connection, or the try to make one; it ends with its first loss.
 pub(super) struct Connection {
     client: Client,
-    told: mpsc::Receiver<Told>,
+    events: mpsc::Receiver<ConnectionEvent>,
     task: JoinHandle<()>,
 }
 
@@ -125,17 +125,17 @@ impl Drop for Connection {
 impl Connection {
     /// Begins to connect.
     pub(super) fn open(link: &Link) -> Self {
-        let (teller, told) = mpsc::channel(REQUESTS);
+        let (sender, events) = mpsc::channel(REQUESTS);
         let (client, task) = match link.config.version {
-            MqttVersion::V3 => open_3(link, teller),
-            MqttVersion::V5 => open_5(link, teller),
+            MqttVersion::V3 => open_3(link, sender),
+            MqttVersion::V5 => open_5(link, sender),
         };
-        Connection { client, told, task }
+        Connection { client, events, task }
     }
 
     /// What it tells next; nothing any more after a loss.
-    pub(super) async fn told(&mut self) -> Option<Told> {
-        self.told.recv().await
+    pub(super) async fn next_event(&mut self) -> Option<ConnectionEvent> {
+        self.events.recv().await
     }
 
     /// Sends a message; waits where many requests are under way.
@@ -173,11 +173,11 @@ impl Connection {
             Client::V3(client) => drop(client.disconnect().await),
             Client::V5(client) => drop(client.disconnect().await),
         }
-        while !matches!(self.told().await, None | Some(Told::Lost(_))) {}
+        while !matches!(self.next_event().await, None | Some(ConnectionEvent::Lost(_))) {}
     }
 }
 
-fn open_3(link: &Link, teller: mpsc::Sender<Told>) -> (Client, JoinHandle<()>) {
+fn open_3(link: &Link, events: mpsc::Sender<ConnectionEvent>) -> (Client, JoinHandle<()>) {
     use rumqttc::{AsyncClient, Event, LastWill, MqttOptions, Packet};
     let mut options = MqttOptions::new(&link.client_id, &link.config.host, link.config.port());
     options.set_keep_alive(KEEP_ALIVE).set_clean_session(true).set_max_packet_size(64 << 10, 256 << 10);
@@ -191,19 +191,19 @@ fn open_3(link: &Link, teller: mpsc::Sender<Told>) -> (Client, JoinHandle<()>) {
     let (client, mut connection) = AsyncClient::new(options, REQUESTS);
     let task = tokio::spawn(async move {
         loop {
-            let told = match connection.poll().await {
-                Ok(Event::Incoming(Packet::ConnAck(_))) => Told::Connected,
-                Ok(Event::Incoming(Packet::PubAck(_))) => Told::Confirmed,
-                Ok(Event::Incoming(Packet::Publish(message))) => Told::Message(Message {
+            let event = match connection.poll().await {
+                Ok(Event::Incoming(Packet::ConnAck(_))) => ConnectionEvent::Connected,
+                Ok(Event::Incoming(Packet::PubAck(_))) => ConnectionEvent::Confirmed,
+                Ok(Event::Incoming(Packet::Publish(message))) => ConnectionEvent::Message(Message {
                     topic: message.topic,
                     retained: message.retain,
                     empty: message.payload.is_empty(),
                 }),
                 Ok(_) => continue,
-                Err(error) => Told::Lost(error.to_string()),
+                Err(error) => ConnectionEvent::Lost(error.to_string()),
             };
-            let lost = matches!(told, Told::Lost(_));
-            if teller.send(told).await.is_err() || lost {
+            let lost = matches!(event, ConnectionEvent::Lost(_));
+            if events.send(event).await.is_err() || lost {
                 return;
             }
         }
@@ -211,7 +211,7 @@ fn open_3(link: &Link, teller: mpsc::Sender<Told>) -> (Client, JoinHandle<()>) {
     (Client::V3(client), task)
 }
 
-fn open_5(link: &Link, teller: mpsc::Sender<Told>) -> (Client, JoinHandle<()>) {
+fn open_5(link: &Link, events: mpsc::Sender<ConnectionEvent>) -> (Client, JoinHandle<()>) {
     use v5::mqttbytes::v5::{LastWill, Packet, PubAckReason};
     use v5::{AsyncClient, Event, MqttOptions};
     let mut options = MqttOptions::new(&link.client_id, &link.config.host, link.config.port());
@@ -227,25 +227,25 @@ fn open_5(link: &Link, teller: mpsc::Sender<Told>) -> (Client, JoinHandle<()>) {
     let (client, mut connection) = AsyncClient::new(options, REQUESTS);
     let task = tokio::spawn(async move {
         loop {
-            let told = match connection.poll().await {
-                Ok(Event::Incoming(Packet::ConnAck(_))) => Told::Connected,
+            let event = match connection.poll().await {
+                Ok(Event::Incoming(Packet::ConnAck(_))) => ConnectionEvent::Connected,
                 Ok(Event::Incoming(Packet::PubAck(ack))) => match ack.reason {
-                    PubAckReason::Success | PubAckReason::NoMatchingSubscribers => Told::Confirmed,
+                    PubAckReason::Success | PubAckReason::NoMatchingSubscribers => ConnectionEvent::Confirmed,
                     reason @ (PubAckReason::QuotaExceeded | PubAckReason::PacketIdentifierInUse) => {
-                        Told::Unwilling(format!("{reason:?}"))
+                        ConnectionEvent::Unwilling(format!("{reason:?}"))
                     }
-                    reason => Told::Refused(format!("{reason:?}")),
+                    reason => ConnectionEvent::Refused(format!("{reason:?}")),
                 },
-                Ok(Event::Incoming(Packet::Publish(message))) => Told::Message(Message {
+                Ok(Event::Incoming(Packet::Publish(message))) => ConnectionEvent::Message(Message {
                     topic: String::from_utf8_lossy(&message.topic).into_owned(),
                     retained: message.retain,
                     empty: message.payload.is_empty(),
                 }),
                 Ok(_) => continue,
-                Err(error) => Told::Lost(error.to_string()),
+                Err(error) => ConnectionEvent::Lost(error.to_string()),
             };
-            let lost = matches!(told, Told::Lost(_));
-            if teller.send(told).await.is_err() || lost {
+            let lost = matches!(event, ConnectionEvent::Lost(_));
+            if events.send(event).await.is_err() || lost {
                 return;
             }
         }

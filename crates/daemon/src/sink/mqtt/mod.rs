@@ -19,14 +19,14 @@ use rumqttc::QoS;
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until, timeout};
 
-use self::connection::{Connection, Link, Message, Told};
+use self::connection::{Connection, ConnectionEvent, Link, Message};
 use crate::config::MqttConfig;
-use crate::event::Flag;
 use crate::failure::Failure;
 use crate::live::hub::{AxisStatus, Hub, Order, Publication};
 use crate::live::journal::Warnings;
+use crate::live::source::SourceState;
 use crate::live::spool::{Counts, Spool};
-use crate::source::live::SourceState;
+use seepd_monitor::event::Flag;
 
 pub use self::connection::credentials;
 
@@ -36,7 +36,7 @@ pub const SINK: &str = "mqtt";
 const WAITS: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(30));
 /// Time in which a broker must confirm an event.
 const CONFIRMATION: Duration = Duration::from_secs(20);
-/// News of an axis's condition are told at most this often.
+/// Changes of an axis's condition are told at most this often.
 const STATUS_EVERY: Duration = Duration::from_secs(1);
 /// Counts alone are told this often.
 const COUNTS_EVERY: Duration = Duration::from_secs(60);
@@ -72,7 +72,7 @@ pub struct Broker {
     /// Why events wait in memory instead of on disk.
     unwritten: Option<String>,
     /// What was last told of the axes, and when their counts are due.
-    told: Vec<News>,
+    announced: Vec<StatusKey>,
     counts_at: Instant,
     warnings: Warnings,
 }
@@ -95,11 +95,29 @@ impl UnderWay {
 }
 
 /// What of a condition is worth a message at once.
-type News = (String, Option<u64>, Flag, Option<Flag>, bool, bool, SourceState);
+#[derive(Debug, PartialEq)]
+struct StatusKey {
+    axis: String,
+    cycle: Option<u64>,
+    flag: Flag,
+    latched: Option<Flag>,
+    acknowledged: bool,
+    stale: bool,
+    source: SourceState,
+}
 
-fn news(status: &AxisStatus) -> News {
-    let AxisStatus { axis, cycle, flag, latched, acknowledged, stale, source, .. } = status;
-    (axis.clone(), *cycle, *flag, *latched, *acknowledged, *stale, source.state)
+impl StatusKey {
+    fn of(status: &AxisStatus) -> Self {
+        StatusKey {
+            axis: status.axis.clone(),
+            cycle: status.cycle,
+            flag: status.flag,
+            latched: status.latched,
+            acknowledged: status.acknowledged,
+            stale: status.stale,
+            source: status.source.state,
+        }
+    }
 }
 
 impl Broker {
@@ -126,7 +144,7 @@ impl Broker {
             sent: 0,
             lost: 0,
             unwritten: None,
-            told: Vec::new(),
+            announced: Vec::new(),
             counts_at: now,
             warnings: Warnings::new(now),
         })
@@ -154,12 +172,12 @@ impl Broker {
             let (retry_at, waits) = (self.retry_at, self.connection.is_none());
             let may_tell = self.connected_since.is_some();
             let confirmation = self.under_way.as_ref().map(|event| event.until);
-            let told = next_told(&mut self.connection);
+            let event = next_event(&mut self.connection);
             tokio::select! {
                 biased;
                 _ = stop.changed() => break,
-                told = told => {
-                    self.heed(told.unwrap_or_else(|| Told::Lost("the connection ended".into()))).await;
+                event = event => {
+                    self.heed(event.unwrap_or_else(|| ConnectionEvent::Lost("the connection ended".into()))).await;
                     status_due = true;
                 }
                 Some(event) = events.recv() => {
@@ -269,11 +287,11 @@ impl Broker {
             return;
         }
         let axes = self.hub.axes();
-        let news: Vec<News> = axes.iter().map(news).collect();
-        if self.told == news && now() < self.counts_at {
+        let keys: Vec<StatusKey> = axes.iter().map(StatusKey::of).collect();
+        if self.announced == keys && now() < self.counts_at {
             return;
         }
-        self.told = news;
+        self.announced = keys;
         self.counts_at = now() + COUNTS_EVERY;
         for status in axes {
             let json = serde_json::to_string(&status).unwrap_or_default();
@@ -288,16 +306,16 @@ impl Broker {
         }
     }
 
-    async fn heed(&mut self, told: Told) {
-        match told {
-            Told::Connected => {
+    async fn heed(&mut self, event: ConnectionEvent) {
+        match event {
+            ConnectionEvent::Connected => {
                 self.connected_since = Some(now());
-                self.told.clear();
+                self.announced.clear();
                 tracing::info!("connected to the broker at {}", self.link.place());
                 self.greet();
                 self.tell("connected");
             }
-            Told::Confirmed => {
+            ConnectionEvent::Confirmed => {
                 if let Some(event) = self.under_way.take() {
                     self.sent += 1;
                     self.refused.remove(&event.topic);
@@ -309,15 +327,15 @@ impl Broker {
                 }
                 self.tell("connected");
             }
-            Told::Refused(why) => {
+            ConnectionEvent::Refused(why) => {
                 if let Some(event) = self.under_way.take() {
                     self.set_aside(event, &why).await;
                 }
                 self.tell("connected");
             }
-            Told::Unwilling(why) => self.lose(&format!("it takes no event now: {why}")),
-            Told::Message(message) => self.take_order(&message),
-            Told::Lost(why) => self.lose_over_event(&why).await,
+            ConnectionEvent::Unwilling(why) => self.lose(&format!("it takes no event now: {why}")),
+            ConnectionEvent::Message(message) => self.take_order(&message),
+            ConnectionEvent::Lost(why) => self.lose_over_event(&why).await,
         }
     }
 
@@ -426,9 +444,9 @@ impl Broker {
 }
 
 /// What the connection tells next; never, where there is none.
-async fn next_told(connection: &mut Option<Connection>) -> Option<Told> {
+async fn next_event(connection: &mut Option<Connection>) -> Option<ConnectionEvent> {
     match connection {
-        Some(connection) => connection.told().await,
+        Some(connection) => connection.next_event().await,
         None => std::future::pending().await,
     }
 }
@@ -452,10 +470,10 @@ mod tests {
     }
 
     /// The connection is made, the first event sent, and then something told.
-    async fn send_and_hear(broker: &mut Broker, told: Told) {
+    async fn send_and_heed(broker: &mut Broker, event: ConnectionEvent) {
         broker.connected_since = Some(now());
         broker.send_next().await;
-        broker.heed(told).await;
+        broker.heed(event).await;
     }
 
     #[tokio::test]
@@ -465,20 +483,20 @@ mod tests {
         for kind in [Kind::Cycle, Kind::Flag, Kind::Cycle, Kind::Flag] {
             broker.take(&event(kind)).await;
         }
-        let lost = || Told::Lost("closed".into());
+        let lost = || ConnectionEvent::Lost("closed".into());
         for _ in 1..LOSSES {
-            send_and_hear(&mut broker, lost()).await;
+            send_and_heed(&mut broker, lost()).await;
         }
         // A broker that is away loses no event: nothing is under way then.
         broker.heed(lost()).await;
         assert_eq!((broker.counts.waiting, broker.counts.refused), (4, 0));
-        send_and_hear(&mut broker, lost()).await;
+        send_and_heed(&mut broker, lost()).await;
         assert_eq!((broker.counts.waiting, broker.counts.refused), (3, 1));
-        send_and_hear(&mut broker, Told::Confirmed).await;
+        send_and_heed(&mut broker, ConnectionEvent::Confirmed).await;
         // The topic is known by now: one loss is enough. The flag behind it arrives.
-        send_and_hear(&mut broker, lost()).await;
+        send_and_heed(&mut broker, lost()).await;
         assert_eq!((broker.counts.waiting, broker.counts.refused), (1, 2));
-        send_and_hear(&mut broker, Told::Confirmed).await;
+        send_and_heed(&mut broker, ConnectionEvent::Confirmed).await;
         assert_eq!((broker.counts.waiting, broker.sent), (0, 2));
         assert_eq!(broker.refused, BTreeSet::from(["press/cycle".to_owned()]));
     }
@@ -491,7 +509,7 @@ mod tests {
         let mut waits = Vec::new();
         for _ in 0..8 {
             waits.push(broker.wait.as_millis());
-            send_and_hear(&mut broker, Told::Unwilling("QuotaExceeded".into())).await;
+            send_and_heed(&mut broker, ConnectionEvent::Unwilling("QuotaExceeded".into())).await;
         }
         assert_eq!(waits, [500, 1000, 2000, 4000, 8000, 16_000, 30_000, 30_000]);
         assert_eq!((broker.counts.waiting, broker.counts.refused), (1, 0));

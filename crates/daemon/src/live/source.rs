@@ -1,0 +1,272 @@
+//! Sources as the daemon reads them: a bus, or a log played at its own pace.
+
+use std::path::Path;
+use std::thread;
+use std::time::Duration;
+
+use seepd_logs::open;
+use seepd_signals::Sample;
+use serde::Serialize;
+use tokio::sync::mpsc;
+
+use super::socketcan::CanSource;
+use crate::config::{AxisConfig, Pace};
+use crate::failure::{Code, Failure};
+use crate::live::clock::Clock;
+use crate::sink::plain::one_line;
+
+/// What a source says when it is asked.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Input {
+    /// There are samples.
+    Samples,
+    /// Nothing came for a while.
+    Idle,
+    /// There is no input, and why; it is tried again.
+    Down(String),
+    /// The log has ended, well or with an error.
+    End(Option<String>),
+}
+
+/// How an input is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SourceState {
+    /// Nothing has come yet.
+    #[default]
+    Waiting,
+    /// Samples come.
+    Receiving,
+    /// The bus is there, but no command comes.
+    Silent,
+    /// There is no such interface, or it is down.
+    Down,
+    /// The log has been read.
+    Ended,
+}
+
+/// An input's condition and counts.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
+pub struct SourceHealth {
+    /// Interface or log.
+    pub name: String,
+    /// How it is.
+    pub state: SourceState,
+    /// Why it is so.
+    pub detail: Option<String>,
+    /// Frames received.
+    pub frames: u64,
+    /// Of these, such that gave a sample.
+    pub samples: u64,
+    /// Frames that the kernel dropped because the socket's buffer was full.
+    pub dropped_in_socket: u64,
+    /// Frames that the sender's counter says were lost.
+    pub missing_by_counter: u64,
+    /// Frames with the counter of the frame before: sent twice, or by two senders.
+    pub repeated: u64,
+    /// Times that the counter went back.
+    pub counter_jumps: u64,
+    /// Frames with a wrong size or length code.
+    pub malformed: u64,
+    /// Frames too short for a mapped signal.
+    pub too_short: u64,
+    /// Remote frames.
+    pub remote: u64,
+    /// Error frames.
+    pub error: u64,
+    /// Times that the socket was opened again.
+    pub reopened: u64,
+}
+
+/// A source of the daemon.
+pub enum LiveSource {
+    /// A bus.
+    Can(Box<CanSource>),
+    /// A log.
+    Log(Box<PlayedLog>),
+}
+
+impl LiveSource {
+    /// Opens an axis's source, for a model of a rate, Hz. A bus that is not there yet is no error.
+    ///
+    /// # Errors
+    /// [`Failure`] where there is neither a bus nor a log, the log is a file that cannot be read, or the mapping fits neither.
+    pub fn open(config: &AxisConfig, rate_hz: f64, clock: Clock) -> Result<Self, Failure> {
+        match (&config.source.can, &config.source.log) {
+            (Some(_), _) => Ok(LiveSource::Can(Box::new(CanSource::new(config, rate_hz, clock)?))),
+            (None, Some(log)) => Ok(LiveSource::Log(Box::new(PlayedLog::open(log, config, clock)?))),
+            (None, None) => Err(Failure::new(
+                Code::Configuration,
+                format!(
+                    "axis {}: has no source; set source.can (a CAN interface) or source.log (a log)",
+                    config.axis
+                ),
+            )),
+        }
+    }
+
+    /// Waits for input and appends what came to `samples`. May be dropped at any await without loss.
+    pub async fn read(&mut self, samples: &mut Vec<Sample>) -> Input {
+        match self {
+            LiveSource::Can(can) => can.read(samples).await,
+            LiveSource::Log(log) => log.read(samples).await,
+        }
+    }
+
+    /// Condition and counts.
+    pub fn health(&self) -> SourceHealth {
+        match self {
+            LiveSource::Can(can) => can.health(),
+            LiveSource::Log(log) => log.health.clone(),
+        }
+    }
+}
+
+/// Samples that travel together from the reading thread.
+const BATCH: usize = 256;
+/// Batches under way.
+const BATCHES: usize = 16;
+/// Longest wait before the caller hears that nothing has come.
+const IDLE: Duration = Duration::from_millis(250);
+
+enum Portion {
+    Samples(Vec<Sample>),
+    End(Option<String>),
+}
+
+/// A log that a thread reads, given out at its own pace or as fast as it is read.
+pub struct PlayedLog {
+    portions: mpsc::Receiver<Portion>,
+    /// Read, and not yet due.
+    ahead: std::vec::IntoIter<Sample>,
+    next: Option<Sample>,
+    pace: Pace,
+    clock: Clock,
+    /// Line minus the log's time.
+    shift_ns: Option<i64>,
+    health: SourceHealth,
+    ended: Option<Option<String>>,
+}
+
+impl PlayedLog {
+    fn open(path: &Path, config: &AxisConfig, clock: Clock) -> Result<Self, Failure> {
+        // A file says at once whether it can be read. A pipe or a terminal may let one wait for its first byte: its thread waits.
+        let waits = path == Path::new("-")
+            || std::fs::metadata(path).is_ok_and(|facts| !facts.is_file() && !facts.is_dir());
+        let mapping = config.log_mapping();
+        let opened = if waits { None } else { Some(open(path, &mapping)?) };
+        let (sender, portions) = mpsc::channel(BATCHES);
+        let (axis, place) = (config.axis.clone(), path.to_owned());
+        let read = move || {
+            let mut source = match opened.map_or_else(|| open(&place, &mapping), Ok) {
+                Ok(source) => source,
+                Err(error) => {
+                    let _ =
+                        sender.blocking_send(Portion::End(Some(one_line(&error.to_string()).into_owned())));
+                    return;
+                }
+            };
+            loop {
+                let mut samples = Vec::with_capacity(BATCH);
+                let mut end = None;
+                while samples.len() < BATCH && end.is_none() {
+                    match source.next_sample() {
+                        Ok(Some(sample)) => samples.push(sample),
+                        Ok(None) => end = Some(None),
+                        Err(error) => end = Some(Some(one_line(&error.to_string()).into_owned())),
+                    }
+                }
+                if sender.blocking_send(Portion::Samples(samples)).is_err() {
+                    return;
+                }
+                if let Some(end) = end {
+                    for note in source.notes() {
+                        tracing::warn!(axis, "{}", one_line(&note));
+                    }
+                    let _ = sender.blocking_send(Portion::End(end));
+                    return;
+                }
+            }
+        };
+        thread::Builder::new()
+            .name("log".into())
+            .spawn(read)
+            .map_err(|error| Failure::new(Code::Internal, format!("starting to read a log: {error}")))?;
+        let health = SourceHealth { name: path.display().to_string(), ..SourceHealth::default() };
+        Ok(PlayedLog {
+            portions,
+            ahead: Vec::new().into_iter(),
+            next: None,
+            pace: config.source.pace,
+            clock,
+            shift_ns: None,
+            health,
+            ended: None,
+        })
+    }
+
+    async fn read(&mut self, samples: &mut Vec<Sample>) -> Input {
+        if self.next.is_none() {
+            self.next = self.ahead.next();
+        }
+        let Some(next) = self.next else { return self.fetch().await };
+        if self.pace == Pace::Recorded {
+            let now_ns = self.clock.now_ns();
+            let shift_ns = *self.shift_ns.get_or_insert(now_ns.saturating_sub(next.time_ns));
+            let due_ns = next.time_ns.saturating_add(shift_ns);
+            let wait_ns = due_ns.saturating_sub(now_ns);
+            if wait_ns > 0 {
+                let wait = Duration::from_nanos(wait_ns as u64);
+                tokio::time::sleep(wait.min(IDLE)).await;
+                return if wait > IDLE { Input::Idle } else { self.give(samples, due_ns) };
+            }
+            return self.give(samples, now_ns);
+        }
+        self.shift_ns = Some(0);
+        // Others on this thread get their turn between batches.
+        tokio::task::yield_now().await;
+        self.give(samples, i64::MAX)
+    }
+
+    /// Gives out what is due by then.
+    fn give(&mut self, samples: &mut Vec<Sample>, now_ns: i64) -> Input {
+        let shift_ns = self.shift_ns.unwrap_or_default();
+        while let Some(mut sample) = self.next.take().or_else(|| self.ahead.next()) {
+            if sample.time_ns.saturating_add(shift_ns) > now_ns {
+                self.next = Some(sample);
+                break;
+            }
+            sample.time_ns = sample.time_ns.saturating_add(shift_ns);
+            samples.push(sample);
+            self.health.samples += 1;
+        }
+        self.health.frames = self.health.samples;
+        self.health.state = SourceState::Receiving;
+        Input::Samples
+    }
+
+    async fn fetch(&mut self) -> Input {
+        if let Some(ended) = &self.ended {
+            let ended = ended.clone();
+            tokio::time::sleep(IDLE).await;
+            return Input::End(ended);
+        }
+        match tokio::time::timeout(IDLE, self.portions.recv()).await {
+            Err(_) => Input::Idle,
+            Ok(Some(Portion::Samples(samples))) => {
+                self.ahead = samples.into_iter();
+                Input::Samples
+            }
+            Ok(Some(Portion::End(error))) => {
+                self.health.state = SourceState::Ended;
+                self.health.detail.clone_from(&error);
+                self.ended = Some(error.clone());
+                Input::End(error)
+            }
+            Ok(None) => {
+                self.ended = Some(None);
+                Input::End(None)
+            }
+        }
+    }
+}

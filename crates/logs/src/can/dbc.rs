@@ -1,0 +1,308 @@
+//! DBC files: which frame carries a signal, and where in it.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use can_dbc::{
+    AttributeValue, ByteOrder as DbcByteOrder, Dbc as Parsed, DbcError, Message, MessageId,
+    MultiplexIndicator, Signal, SignalExtendedValueType, ValueType,
+};
+use seepd_settings::{nearest, side_file};
+
+use super::bit_field::{BitField, BitFieldError, ByteOrder, Encoding};
+use super::{Content, Frame, Identifier};
+use crate::error::LogError;
+
+/// A signal of a frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CanSignal {
+    /// `Message.Signal`.
+    pub name: String,
+    /// Frame that carries it.
+    pub identifier: Identifier,
+    pub(super) field: BitField,
+    /// All must hold for the frame to carry the signal.
+    selectors: Vec<Selector>,
+}
+
+/// A multiplexer's field, and for which of its values a signal is there.
+#[derive(Debug, Clone, PartialEq)]
+struct Selector {
+    field: BitField,
+    ranges: Vec<(u64, u64)>,
+}
+
+/// What a frame says of a signal.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Reading {
+    /// Its value.
+    Value(f64),
+    /// The frame is another, or its multiplexer selects others.
+    Absent,
+    /// The frame is too short for it.
+    TooShort,
+}
+
+impl CanSignal {
+    /// A signal at a place of its own, without a file that names it.
+    pub fn at(name: &str, identifier: Identifier, field: BitField) -> Self {
+        CanSignal { name: name.into(), identifier, field, selectors: Vec::new() }
+    }
+
+    /// Reads the signal.
+    pub fn read(&self, frame: &Frame) -> Reading {
+        if frame.identifier != self.identifier || frame.content != Content::Data {
+            return Reading::Absent;
+        }
+        for selector in &self.selectors {
+            let Some(raw) = selector.field.raw(frame.data()) else { return Reading::TooShort };
+            if !selector.ranges.iter().any(|(least, most)| (*least..=*most).contains(&raw)) {
+                return Reading::Absent;
+            }
+        }
+        self.field.value(frame.data()).map_or(Reading::TooShort, Reading::Value)
+    }
+}
+
+/// A DBC file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Dbc {
+    file: String,
+    parsed: Parsed,
+    /// The signals' whole names, where the file cuts them to 32 characters, by message and cut name.
+    long_names: HashMap<MessageId, HashMap<String, String>>,
+}
+
+/// Levels of multiplexers within multiplexers that are followed.
+const DEEPEST_MULTIPLEX: usize = 64;
+
+impl Dbc {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`LogError`] with file and line.
+    pub fn read(path: &Path) -> Result<Self, LogError> {
+        let name = path.display().to_string();
+        let bytes = side_file::read(path).map_err(|error| LogError::reading(&name, error))?;
+        Self::parse(&bytes, &name)
+    }
+
+    /// Reads a file's content; texts that are not UTF-8 are taken as Latin-1, which names are the same in.
+    ///
+    /// # Errors
+    /// [`LogError::Dbc`] with the line of the file.
+    pub fn parse(bytes: &[u8], file: &str) -> Result<Self, LogError> {
+        let text = std::str::from_utf8(bytes).map_or_else(
+            |_| bytes.iter().map(|byte| char::from(*byte)).collect(),
+            |text| text.trim_start_matches('\u{feff}').to_owned(),
+        );
+        let mut parsed = Parsed::try_from(text.as_str())
+            .map_err(|error| LogError::Dbc { name: file.into(), what: one_line(&error) })?;
+        let mut long_names: HashMap<MessageId, HashMap<String, String>> = HashMap::new();
+        for attribute in std::mem::take(&mut parsed.attribute_values_signal) {
+            if attribute.name == "SystemSignalLongSymbol"
+                && let AttributeValue::String(long) = attribute.value
+                && !long.is_empty()
+            {
+                long_names
+                    .entry(attribute.message_id)
+                    .or_default()
+                    .entry(attribute.signal_name)
+                    .or_insert(long);
+            }
+        }
+        Ok(Dbc { file: file.into(), parsed, long_names })
+    }
+
+    /// Names of all messages and signals, as `Message.Signal`.
+    pub fn names(&self) -> impl Iterator<Item = String> {
+        self.all().map(|(message, signal)| self.full_name(message, signal))
+    }
+
+    /// Name of the message of an identifier.
+    pub fn message_name(&self, identifier: Identifier) -> Option<String> {
+        let is = |message: &&Message| self.identifier(message) == Some(identifier);
+        self.parsed.messages.iter().find(is).map(|message| self.long_message_name(message))
+    }
+
+    fn all(&self) -> impl Iterator<Item = (&Message, &Signal)> {
+        self.parsed
+            .messages
+            .iter()
+            .flat_map(|message| message.signals.iter().map(move |signal| (message, signal)))
+    }
+
+    /// The signal of that name, `Signal` or `Message.Signal`.
+    ///
+    /// # Errors
+    /// [`LogError::Mapping`]: there is none (with the nearest name), there are several, or it cannot be where the file says.
+    pub fn find(&self, name: &str) -> Result<CanSignal, LogError> {
+        self.look_up(name).map_err(LogError::mapping)
+    }
+
+    fn look_up(&self, name: &str) -> Result<CanSignal, String> {
+        let is = |(message, signal): &(&Message, &Signal)| {
+            let full = self.full_name(message, signal);
+            full == name || full.rsplit_once('.').is_some_and(|(_, short)| short == name)
+        };
+        let found: Vec<(&Message, &Signal)> = self.all().filter(is).collect();
+        match found.as_slice() {
+            [] => Err(self.no_such(name)),
+            [(message, signal)] => self
+                .resolve(message, signal)
+                .map_err(|what| format!("{}: the signal `{name}` {what}", self.file)),
+            several => {
+                let names: Vec<String> =
+                    several.iter().map(|(message, signal)| self.full_name(message, signal)).collect();
+                Err(format!(
+                    "{}: several messages have a signal `{name}`; write {}",
+                    self.file,
+                    names.join(" or ")
+                ))
+            }
+        }
+    }
+
+    fn no_such(&self, name: &str) -> String {
+        let full: Vec<String> = self.names().collect();
+        let short = full.iter().filter_map(|full| full.rsplit_once('.')).map(|(_, short)| short);
+        let all: Vec<&str> = full.iter().map(String::as_str).chain(short).collect();
+        let hint = match nearest(name, all.iter().copied()) {
+            Some(near) => format!("; did you mean `{near}`?"),
+            None if full.is_empty() => "; it has no signals at all".into(),
+            None => {
+                let more =
+                    if full.len() > 8 { format!(" and {} more", full.len() - 8) } else { String::new() };
+                format!("; it has {}{more}", full.iter().take(8).cloned().collect::<Vec<_>>().join(", "))
+            }
+        };
+        format!("{}: names no signal `{name}`{hint}", self.file)
+    }
+
+    /// The signals of a frame that can be read, up to so many.
+    pub fn signals_of(&self, identifier: Identifier, most: usize) -> Vec<CanSignal> {
+        let is = |message: &&Message| self.identifier(message) == Some(identifier);
+        let message = self.parsed.messages.iter().find(is);
+        let signals = message.into_iter().flat_map(|message| {
+            message.signals.iter().filter_map(|signal| self.resolve(message, signal).ok())
+        });
+        signals.take(most).collect()
+    }
+
+    fn resolve(&self, message: &Message, signal: &Signal) -> Result<CanSignal, String> {
+        let identifier = self
+            .identifier(message)
+            .ok_or_else(|| format!("is in the message {}, whose identifier is none of CAN", message.name))?;
+        let field = self.field(message, signal).map_err(|error| error.to_string())?;
+        // Sizes of 0 stand for a length that varies.
+        let size = message.size as usize;
+        if size > 0 && field.least_bytes() > size {
+            return Err(format!(
+                "ends in byte {} of the message {}, which has {size}",
+                field.least_bytes(),
+                message.name
+            ));
+        }
+        let selectors = self.selectors(message, signal)?;
+        Ok(CanSignal { name: self.full_name(message, signal), identifier, field, selectors })
+    }
+
+    /// Identifier of a message; `None` for the collection of signals without a message and for impossible ones.
+    fn identifier(&self, message: &Message) -> Option<Identifier> {
+        match message.id {
+            MessageId::Standard(id) if id <= 0x7ff => Some(Identifier::Standard(id)),
+            MessageId::Extended(id) if message.name != "VECTOR__INDEPENDENT_SIG_MSG" => {
+                Some(Identifier::Extended(id & 0x1fff_ffff))
+            }
+            _ => None,
+        }
+    }
+
+    fn field(&self, message: &Message, signal: &Signal) -> Result<BitField, BitFieldError> {
+        let extended = self.parsed.extended_value_type_for_signal(message.id, &signal.name);
+        let encoding = match (extended, signal.value_type) {
+            (Some(SignalExtendedValueType::IEEEfloat32Bit), _) => Encoding::Float32,
+            (Some(SignalExtendedValueType::IEEEdouble64bit), _) => Encoding::Float64,
+            (_, ValueType::Signed) => Encoding::Signed,
+            (_, ValueType::Unsigned) => Encoding::Unsigned,
+        };
+        let order = match signal.byte_order {
+            DbcByteOrder::LittleEndian => ByteOrder::LittleEndian,
+            DbcByteOrder::BigEndian => ByteOrder::BigEndian,
+        };
+        let place = |value: u64| usize::try_from(value).unwrap_or(usize::MAX);
+        BitField::new(
+            place(signal.start_bit),
+            place(signal.size),
+            order,
+            encoding,
+            signal.factor,
+            signal.offset,
+        )
+    }
+
+    /// What must hold of the frame's multiplexers, from the signal's own up to the outermost.
+    fn selectors(&self, message: &Message, signal: &Signal) -> Result<Vec<Selector>, String> {
+        let mut selectors = Vec::new();
+        let mut inner = signal;
+        // A file may go in circles.
+        for _ in 0..DEEPEST_MULTIPLEX {
+            let (MultiplexIndicator::MultiplexedSignal(value)
+            | MultiplexIndicator::MultiplexorAndMultiplexedSignal(value)) = inner.multiplexer_indicator
+            else {
+                return Ok(selectors);
+            };
+            let extended = self
+                .parsed
+                .extended_multiplex
+                .iter()
+                .find(|rule| rule.message_id == message.id && rule.signal_name == inner.name);
+            let outer = message.signals.iter().find(|other| match extended {
+                Some(rule) => rule.multiplexor_signal_name == other.name,
+                None => other.multiplexer_indicator == MultiplexIndicator::Multiplexor,
+            });
+            let outer = outer.ok_or("is multiplexed, but its message has no multiplexer")?;
+            let ranges = match extended {
+                Some(rule) => rule.mappings.iter().map(|range| (range.min_value, range.max_value)).collect(),
+                None => vec![(value, value)],
+            };
+            let field = self.field(message, outer).map_err(|error| error.to_string())?;
+            selectors.push(Selector { field, ranges });
+            inner = outer;
+        }
+        Err(format!("is multiplexed in a circle, or more than {DEEPEST_MULTIPLEX} levels deep"))
+    }
+
+    /// `Message.Signal`, by the long names where the file cuts them to 32 characters.
+    fn full_name(&self, message: &Message, signal: &Signal) -> String {
+        let long = self.long_names.get(&message.id).and_then(|names| names.get(&signal.name));
+        let name = long.unwrap_or(&signal.name);
+        format!("{}.{name}", self.long_message_name(message))
+    }
+
+    fn long_message_name(&self, message: &Message) -> String {
+        let long = self.parsed.attribute_values_message.iter().find(|attribute| {
+            attribute.message_id == message.id && attribute.name == "SystemMessageLongSymbol"
+        });
+        text_of(long.map(|attribute| &attribute.value)).unwrap_or(&message.name).to_owned()
+    }
+}
+
+fn text_of(value: Option<&AttributeValue>) -> Option<&str> {
+    match value {
+        Some(AttributeValue::String(text)) if !text.is_empty() => Some(text),
+        _ => None,
+    }
+}
+
+/// The parser's message draws the place over several lines: line, column and what was expected, in one.
+fn one_line(error: &DbcError) -> String {
+    let text = error.to_string();
+    let place = text.lines().find_map(|line| line.trim().strip_prefix("--> "));
+    let what = text.lines().find_map(|line| line.trim().strip_prefix("= ")).unwrap_or(text.trim());
+    let what = what.replace('\n', " ");
+    match place.and_then(|place| place.split_once(':')) {
+        Some((line, column)) => format!("line {line}, column {column}: not a DBC file: {what}"),
+        None => format!("not a DBC file: {what}"),
+    }
+}

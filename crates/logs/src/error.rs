@@ -1,0 +1,60 @@
+//! Why a log cannot be read.
+
+use std::io;
+
+/// Why a log, or a file beside it, cannot be read. Each message is one line that begins with the file's name.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum LogError {
+    /// The log, or its DBC file, cannot be opened or read.
+    #[error("{name}: {error}")]
+    Reading {
+        /// File.
+        name: String,
+        /// What the operating system says.
+        #[source]
+        error: io::Error,
+    },
+    /// A folder stands where a log must be named.
+    #[error("{name}: is a folder; name a log file")]
+    Folder {
+        /// Folder.
+        name: String,
+    },
+    /// It is no log of a kind that is read, or nothing in it can be used.
+    #[error("{name}: {what}")]
+    Data {
+        /// Log.
+        name: String,
+        /// What is wrong, and what to do.
+        what: String,
+    },
+    /// The DBC file cannot be understood.
+    #[error("{name}: {what}")]
+    Dbc {
+        /// DBC file.
+        name: String,
+        /// Line, column, and what was expected there.
+        what: String,
+    },
+    /// The mapping does not say where a signal is, or says it twice.
+    #[error("{what}")]
+    Mapping {
+        /// The key, and what is wrong with it.
+        what: String,
+    },
+}
+
+impl LogError {
+    pub(crate) fn reading(name: impl Into<String>, error: io::Error) -> Self {
+        LogError::Reading { name: name.into(), error }
+    }
+
+    pub(crate) fn data(name: impl Into<String>, what: impl Into<String>) -> Self {
+        LogError::Data { name: name.into(), what: what.into() }
+    }
+
+    pub(crate) fn mapping(what: impl Into<String>) -> Self {
+        LogError::Mapping { what: what.into() }
+    }
+}

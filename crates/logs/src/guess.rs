@@ -1,0 +1,107 @@
+//! Guesses which field of a log is which signal, by name and range.
+
+use std::collections::BTreeMap;
+
+use seepd_signals::Signal;
+use serde::Serialize;
+
+use super::survey::{FieldSurvey, TopicSurvey};
+use crate::mapping::BitsMapping;
+
+/// Where a signal seems to be.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Guess {
+    /// Topic, or interface of a CAN log; empty for a CSV.
+    pub topic: String,
+    /// Path of the field, or column, or `Message.Signal`.
+    pub field: String,
+    /// Factor to SI.
+    pub scale: f64,
+    /// Where it is in a CAN frame, where no DBC file names it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bits: Option<BitsMapping>,
+    #[serde(skip)]
+    score: i32,
+}
+
+impl Guess {
+    pub(crate) fn of_bits(interface: String, bits: BitsMapping, scale: f64) -> Self {
+        Guess { topic: interface, field: String::new(), scale, bits: Some(bits), score: 0 }
+    }
+}
+
+/// Words in a field's path that speak for a signal, the strongest first.
+const WORDS: [(Signal, &[&str]); 8] = [
+    (Signal::Command, &["command", "cmd", "valve", "output", "pid", "u"]),
+    (Signal::Demand, &["demand", "setpoint", "set_point", "target", "reference", "desired"]),
+    (Signal::Position, &["position", "pos", "stroke", "x"]),
+    (Signal::PSupply, &["p_supply", "supply", "pump", "p_s"]),
+    (Signal::PInlet, &["p_inlet", "inlet", "p_3"]),
+    (Signal::PCap, &["p_cap", "cap", "p_1", "p_a"]),
+    (Signal::PRod, &["p_rod", "rod", "p_2", "p_b"]),
+    (Signal::Load, &["load", "force"]),
+];
+
+/// Marks the fields with what they seem to be, and gives the mapping.
+pub(crate) fn guess(topics: &mut [TopicSurvey]) -> BTreeMap<Signal, Guess> {
+    let mut mapping: BTreeMap<Signal, Guess> = BTreeMap::new();
+    for topic in topics.iter() {
+        for field in &topic.fields {
+            let Some((signal, score, scale)) = guess_field(&topic.topic, field) else { continue };
+            if mapping.get(&signal).is_none_or(|other| score > other.score) {
+                let topic = topic.mapping_topic.clone();
+                mapping.insert(signal, Guess { topic, field: field.path.clone(), scale, bits: None, score });
+            }
+        }
+    }
+    for topic in topics {
+        for field in &mut topic.fields {
+            let is = |guess: &Guess| guess.field == field.path && guess.topic == topic.mapping_topic;
+            field.guess = mapping.iter().find(|(_, guess)| is(guess)).map(|(signal, _)| signal.name());
+        }
+    }
+    mapping
+}
+
+/// The signal that a field seems to be, how strongly, and the factor to SI.
+fn guess_field(topic: &str, field: &FieldSurvey) -> Option<(Signal, i32, f64)> {
+    if topic.ends_with("/truth") || field.least == field.largest {
+        return None;
+    }
+    let path = field.path.to_lowercase();
+    let words: Vec<&str> = path.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').collect();
+    let mut best: Option<(Signal, i32, f64)> = None;
+    for (signal, known) in WORDS {
+        for (rank, word) in known.iter().enumerate() {
+            let strength = if path == *word {
+                40
+            } else if words.contains(word) {
+                30
+            } else if word.len() > 2 && path.contains(word) {
+                20
+            } else {
+                continue;
+            };
+            let Some(scale) = scale_to_si(signal, field.least.abs().max(field.largest.abs())) else {
+                continue;
+            };
+            let score = strength - rank as i32;
+            if best.is_none_or(|best| score > best.1) {
+                best = Some((signal, score, scale));
+            }
+        }
+    }
+    best
+}
+
+/// The factor to SI that makes a range plausible: percent, millimetres, bar, kilonewtons are told by their size.
+fn scale_to_si(signal: Signal, largest: f64) -> Option<f64> {
+    let candidates: &[(f64, f64, f64)] = match signal {
+        Signal::Command => &[(1e-3, 1.1, 1.0), (1.1, 110.0, 0.01)],
+        Signal::Demand | Signal::Position => &[(1e-3, 10.0, 1.0), (10.0, 1e4, 1e-3)],
+        Signal::PSupply | Signal::PInlet | Signal::PCap | Signal::PRod => &[(1e4, 1e8, 1.0), (0.5, 1e3, 1e5)],
+        Signal::Load => &[(500.0, 1e9, 1.0), (0.1, 500.0, 1e3)],
+        Signal::CycleStart => &[],
+    };
+    candidates.iter().find(|(low, high, _)| (*low..=*high).contains(&largest)).map(|(_, _, scale)| *scale)
+}

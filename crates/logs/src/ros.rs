@@ -1,0 +1,276 @@
+//! ROS 2 messages: CDR by the `ros2msg` definition in the log's schema, shown to a visitor as they are read.
+//!
+//! The definition's grammar is `re_ros_msg`'s, the primitives on the wire are `re_cdr`'s. The walk along the definition is
+//! here: it looks how much there is before it believes a length, how deep it is before it follows a type, and how far it has
+//! gone (arrays of messages without fields have elements, but no bytes that would end them).
+
+use std::collections::HashMap;
+
+use re_cdr::{BigEndian, CdrEndian, CdrReader, LittleEndian};
+use re_ros_msg::MessageSchema;
+use re_ros_msg::message_spec::{
+    ArraySize, BuiltInType, ComplexType, MessageSpecification, Type, message_package,
+};
+
+use super::fields::{DEEPEST, FREE_STEPS, FieldVisitor, Step};
+
+/// A ROS 2 message's definition with those that it refers to.
+pub(crate) struct RosMessage {
+    spec: MessageSpecification,
+    dependencies: HashMap<String, MessageSpecification>,
+}
+
+/// Bytes before a CDR message: representation and options (DDS-XTypes 1.3, 7.6.3.1.2).
+const ENCAPSULATION_BYTES: usize = 4;
+
+impl RosMessage {
+    /// Reads a definition.
+    ///
+    /// # Errors
+    /// One line: the text does not parse.
+    pub(crate) fn parse(name: &str, definition: &[u8]) -> Result<Self, String> {
+        let text =
+            std::str::from_utf8(definition).map_err(|_| "its ros2msg schema is not text".to_owned())?;
+        let parsed = MessageSchema::parse(name, &without_literals(text))
+            .map_err(|error| format!("its ros2msg schema does not parse: {error:#}").replace('\n', " "))?;
+        let dependencies =
+            parsed.dependencies.into_iter().map(|spec| (short_name(&spec.name), spec)).collect();
+        Ok(RosMessage { spec: parsed.spec, dependencies })
+    }
+
+    /// Shows a message to a visitor.
+    ///
+    /// # Errors
+    /// One line: the message does not fit its definition, or a wanted field is no number.
+    pub(crate) fn visit(&self, message: &[u8], visitor: &mut impl FieldVisitor) -> Result<(), String> {
+        let (encapsulation, body) = message
+            .split_at_checked(ENCAPSULATION_BYTES)
+            .ok_or_else(|| format!("{} bytes are no CDR message", message.len()))?;
+        // The second byte is the representation: plain CDR, big or little endian.
+        match encapsulation[1] {
+            0 => self.walk(CdrReader::<BigEndian>::new(body), visitor),
+            1 => self.walk(CdrReader::<LittleEndian>::new(body), visitor),
+            other => Err(format!("CDR representation {other} is not read; plain CDR is 0 or 1")),
+        }
+        .map_err(|what| format!("does not fit its schema: {what}"))
+    }
+
+    fn walk<B: CdrEndian>(
+        &self,
+        reader: CdrReader<'_, B>,
+        visitor: &mut impl FieldVisitor,
+    ) -> Result<(), String> {
+        let steps = reader.remaining() + FREE_STEPS;
+        Walk { definition: self, reader, steps }.message(&self.spec, Some(visitor), 0)
+    }
+
+    fn resolve(&self, scope: &MessageSpecification, ty: &ComplexType) -> Option<&MessageSpecification> {
+        let full_name = match ty {
+            ComplexType::Absolute { package, name } => format!("{package}/{name}"),
+            ComplexType::Relative { name } => match message_package(&scope.name) {
+                Some(package) => format!("{package}/{name}"),
+                None => name.clone(),
+            },
+        };
+        self.dependencies.get(&short_name(&full_name))
+    }
+}
+
+/// `pkg/msg/Type` and `pkg/Type` are the same.
+fn short_name(name: &str) -> String {
+    name.replacen("/msg/", "/", 1)
+}
+
+/// A message on its way to a visitor; what the visitor does not want is walked over without one.
+struct Walk<'d, 'm, B: CdrEndian> {
+    definition: &'d RosMessage,
+    reader: CdrReader<'m, B>,
+    /// What may still be looked at.
+    steps: usize,
+}
+
+impl<'d, B: CdrEndian> Walk<'d, '_, B> {
+    fn spend(&mut self) -> Result<(), String> {
+        self.steps = self.steps.checked_sub(1).ok_or("it has far more fields than bytes")?;
+        Ok(())
+    }
+
+    fn message<V: FieldVisitor>(
+        &mut self,
+        spec: &'d MessageSpecification,
+        mut visitor: Option<&mut V>,
+        depth: usize,
+    ) -> Result<(), String> {
+        if depth > DEEPEST {
+            return Err(format!("`{}` lies more than {DEEPEST} messages deep", spec.name));
+        }
+        for field in &spec.fields {
+            self.step(Step::Key(&field.name), visitor.as_deref_mut(), |walk, visitor| {
+                walk.value(spec, &field.ty, visitor, depth)
+            })
+            .map_err(|what| format!("{}: {what}", field.name))?;
+        }
+        Ok(())
+    }
+
+    /// Walks on, with the visitor where it wants what comes.
+    fn step<V: FieldVisitor>(
+        &mut self,
+        step: Step<'_>,
+        visitor: Option<&mut V>,
+        walk_on: impl FnOnce(&mut Self, Option<&mut V>) -> Result<(), String>,
+    ) -> Result<(), String> {
+        self.spend()?;
+        let Some(visitor) = visitor else { return walk_on(self, None) };
+        if !visitor.enter(step) {
+            return walk_on(self, None);
+        }
+        walk_on(self, Some(visitor))?;
+        visitor.leave();
+        Ok(())
+    }
+
+    fn value<V: FieldVisitor>(
+        &mut self,
+        scope: &'d MessageSpecification,
+        ty: &'d Type,
+        visitor: Option<&mut V>,
+        depth: usize,
+    ) -> Result<(), String> {
+        match ty {
+            Type::BuiltIn(kind) => self.scalar(kind, visitor),
+            Type::Complex(name) => {
+                let spec =
+                    self.definition.resolve(scope, name).ok_or_else(|| format!("{name:?} is not defined"))?;
+                // A message of constants alone stands for an enumeration, which is its number on the wire.
+                match spec.underlying_type_if_enum_like().map_err(|error| error.to_string())? {
+                    Some(kind) => self.scalar(kind, visitor),
+                    None => self.message(spec, visitor, depth + 1),
+                }
+            }
+            Type::Array { ty, size } => {
+                let count = match size {
+                    ArraySize::Fixed(count) => *count,
+                    ArraySize::Bounded(_) | ArraySize::Unbounded => {
+                        self.reader.read_sequence_length().map_err(|error| error.to_string())?
+                    }
+                };
+                if count > self.reader.remaining() {
+                    return Err(format!("{count} elements in {} bytes", self.reader.remaining()));
+                }
+                self.elements(scope, ty, count, visitor, depth)
+            }
+        }
+    }
+
+    fn elements<V: FieldVisitor>(
+        &mut self,
+        scope: &'d MessageSpecification,
+        ty: &'d Type,
+        count: usize,
+        mut visitor: Option<&mut V>,
+        depth: usize,
+    ) -> Result<(), String> {
+        if let (None, Type::BuiltIn(kind)) = (&visitor, ty)
+            && let Some(size) = size_of(kind)
+            && count > 0
+        {
+            // An image that nobody wants is passed over at once.
+            return self
+                .reader
+                .align(size)
+                .and_then(|()| self.reader.read_bytes(count.saturating_mul(size)))
+                .map(drop)
+                .map_err(|error| error.to_string());
+        }
+        for index in 0..count {
+            self.step(Step::Index(index), visitor.as_deref_mut(), |walk, visitor| {
+                walk.value(scope, ty, visitor, depth + 1)
+            })?;
+        }
+        Ok(())
+    }
+
+    fn scalar<V: FieldVisitor>(&mut self, kind: &BuiltInType, visitor: Option<&mut V>) -> Result<(), String> {
+        let reader = &mut self.reader;
+        let number = match kind {
+            BuiltInType::Bool => reader.read_bool().map(|bit| f64::from(u8::from(bit))),
+            BuiltInType::Byte | BuiltInType::Char | BuiltInType::UInt8 => reader.read_u8().map(f64::from),
+            BuiltInType::Int8 => reader.read_i8().map(f64::from),
+            BuiltInType::Int16 => reader.read_i16().map(f64::from),
+            BuiltInType::UInt16 => reader.read_u16().map(f64::from),
+            BuiltInType::Int32 => reader.read_i32().map(f64::from),
+            BuiltInType::UInt32 => reader.read_u32().map(f64::from),
+            BuiltInType::Int64 => reader.read_i64().map(|value| value as f64),
+            BuiltInType::UInt64 => reader.read_u64().map(|value| value as f64),
+            BuiltInType::Float32 => reader.read_f32().map(f64::from),
+            BuiltInType::Float64 => reader.read_f64(),
+            BuiltInType::String(_) => {
+                let text = reader.read_str().map_err(|error| error.to_string())?;
+                return visitor.map_or(Ok(()), |visitor| visitor.text(text));
+            }
+            BuiltInType::WString(_) => return Err("wstring is not read".into()),
+        };
+        let number = number.map_err(|error| error.to_string())?;
+        visitor.map_or(Ok(()), |visitor| visitor.number(number))
+    }
+}
+
+/// Bytes of a number, which it is also aligned to.
+fn size_of(kind: &BuiltInType) -> Option<usize> {
+    Some(match kind {
+        BuiltInType::Byte | BuiltInType::Char | BuiltInType::UInt8 | BuiltInType::Int8 => 1,
+        BuiltInType::Int16 | BuiltInType::UInt16 => 2,
+        BuiltInType::Int32 | BuiltInType::UInt32 | BuiltInType::Float32 => 4,
+        BuiltInType::Int64 | BuiltInType::UInt64 | BuiltInType::Float64 => 8,
+        // Of truth values each byte is looked at; texts tell their own length.
+        BuiltInType::Bool | BuiltInType::String(_) | BuiltInType::WString(_) => return None,
+    })
+}
+
+/// The definition without comments, constants and default values, which say nothing of where the fields lie. The crate's parser of
+/// literals panics on a lone quotation mark (found by fuzzing).
+fn without_literals(definition: &str) -> String {
+    let mut fields = String::with_capacity(definition.len());
+    for line in definition.lines() {
+        let line = line.split('#').next().unwrap_or_default();
+        let mut words = line.split_whitespace();
+        match (words.next(), words.next(), words.next()) {
+            (Some(_), Some(name), next)
+                if name.contains('=') || next.is_some_and(|next| next.starts_with('=')) => {}
+            (Some(kind), Some(name), _) => fields.extend([kind, " ", name]),
+            _ => fields.push_str(line),
+        }
+        fields.push('\n');
+    }
+    fields
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn literals_are_left_out_and_fields_stay() {
+        let separator = "=".repeat(80);
+        let definition = format!(
+            "# a=b\nint8 LOW=-1\nstring<=9 NAME = \"a # b\"\nstring<=9 name 'x=y' # of the press\nfloat64[2] data [1, 2]\n\
+             string lone '\nstring[] lone_too [']\nHeader header#no=constant\n{separator}\nMSG: std_msgs/Header\nstring frame_id \"\""
+        );
+        let fields = without_literals(&definition);
+        let lines: Vec<&str> = fields.lines().filter(|line| !line.is_empty()).collect();
+        let expected = [
+            "string<=9 name",
+            "float64[2] data",
+            "string lone",
+            "string[] lone_too",
+            "Header header",
+            &separator,
+            "MSG: std_msgs/Header",
+            "string frame_id",
+        ];
+        assert_eq!(lines, expected);
+        let message = RosMessage::parse("press/Axis", definition.as_bytes()).unwrap();
+        assert_eq!(message.spec.fields.len(), 5);
+    }
+}

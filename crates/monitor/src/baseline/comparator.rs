@@ -1,0 +1,158 @@
+//! Compares each cycle with the baseline.
+
+use seepd_features::ValidCycle;
+use seepd_model::{Comparison, Estimate, Model, Relative, RelativeEstimate};
+use serde::Serialize;
+
+use super::Baseline;
+use super::cusum::{Cusum, CusumFinding, CusumLimits};
+use super::trend::{Growth, Trend};
+
+/// Least standard deviation of the leak residual, m²: a machine without noise would count every rounding.
+const LEAST_DEVIATION_M2: f64 = 2e-10;
+
+/// What is known of a cycle's load.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LoadKnowledge {
+    /// It was measured, at the baseline too.
+    Measured,
+    /// It was not: it is seen in the command's phases, and the interval is wider.
+    Inferred,
+    /// Its signal stands still: taken as not measured.
+    Frozen,
+}
+
+/// A cycle compared with the baseline.
+#[derive(Debug, Clone, Copy)]
+pub struct ComparedCycle {
+    /// Estimate, leak residual, contributions, out-of-distribution score.
+    pub estimate: RelativeEstimate,
+    /// What is known of the load.
+    pub load: LoadKnowledge,
+    /// Load over the baseline's, less 1.
+    pub load_change: Option<f64>,
+    /// What the sums say after the cycle.
+    pub finding: CusumFinding,
+    /// Sum for a leak, standard deviations.
+    pub sum: f64,
+    /// How the leak grows, where it does.
+    pub growth: Option<Growth>,
+}
+
+/// The estimate; where the cycle is like nothing in training, but its baseline is like a leaking machine's against this cycle, the machine
+/// leaked at its baseline, and leaks less now.
+fn compare(
+    relative: &Relative,
+    baseline: &[f64],
+    present: &[f64],
+    load_change: Option<f64>,
+    cycle: &ValidCycle<'_>,
+) -> RelativeEstimate {
+    let noise = cycle.statistics.noise;
+    let estimate = relative.estimate(&Comparison { baseline, present, load_change, noise });
+    if estimate.out_of_distribution.score <= 1.0 {
+        return estimate;
+    }
+    let load_before = load_change.map(|change| 1.0 / (1.0 + change) - 1.0);
+    let before = relative.estimate(&Comparison {
+        baseline: present,
+        present: baseline,
+        load_change: load_before,
+        noise,
+    });
+    if before.out_of_distribution.score > 1.0 || before.leak_residual_m2 <= 0.0 {
+        return estimate;
+    }
+    let healthy_limit = relative.kind(load_change.is_some(), baseline).calibration.healthy_limit;
+    RelativeEstimate {
+        estimate: Estimate { value: 0.0, interval: [0.0, healthy_limit], ..estimate.estimate },
+        leak_residual_m2: -before.leak_residual_m2,
+        contributions_m2: before.contributions_m2.map(|part| -part),
+        out_of_distribution: before.out_of_distribution,
+    }
+}
+
+/// A machine that is compared from its baseline on.
+#[derive(Debug, Clone)]
+pub struct BaselineComparator {
+    baseline: Baseline,
+    cusum: Cusum,
+    trend: Trend,
+}
+
+impl BaselineComparator {
+    /// Follows from a baseline.
+    pub fn new(baseline: Baseline) -> Self {
+        BaselineComparator { baseline, cusum: Cusum::default(), trend: Trend::default() }
+    }
+
+    /// The baseline.
+    pub fn baseline(&self) -> &Baseline {
+        &self.baseline
+    }
+
+    /// The sums.
+    pub fn cusum(&self) -> &Cusum {
+        &self.cusum
+    }
+
+    /// Takes the sums up where an earlier run left them.
+    pub fn restore(&mut self, cusum: Cusum) {
+        self.cusum = cusum;
+    }
+
+    /// Compares a cycle, and remembers nothing of it: the estimate, what is known of the load, and its change.
+    pub fn compare(
+        &self,
+        model: &Model,
+        cycle: &ValidCycle<'_>,
+    ) -> Option<(RelativeEstimate, LoadKnowledge, Option<f64>)> {
+        let relative = model.relative()?;
+        let present = cycle.statistics.phase_means();
+        let (load, load_change) = self.load_of(cycle);
+        let estimate =
+            compare(relative, &self.baseline.mean, present.get(..relative.phases())?, load_change, cycle);
+        Some((estimate, load, load_change))
+    }
+
+    /// Compares a cycle that ends at a time, s. One unlike everything that training has seen leaves sums and trend alone.
+    pub fn take(&mut self, model: &Model, cycle: &ValidCycle<'_>, end_s: f64) -> Option<ComparedCycle> {
+        let (estimate, load, load_change) = self.compare(model, cycle)?;
+        let relative = model.relative()?;
+        let is_new = estimate.out_of_distribution.score > 1.0;
+        if !is_new {
+            self.cusum.take(estimate.leak_residual_m2, &self.limits(relative, load_change.is_some()));
+            if self.cusum.cycles_since_onset() == 0 {
+                self.trend.clear();
+            } else {
+                self.trend.take(end_s, estimate.estimate.value);
+            }
+        }
+        let finding = self.cusum.finding();
+        let growth = if finding == CusumFinding::Leak { self.trend.growth() } else { None };
+        Some(ComparedCycle { estimate, load, load_change, finding, sum: self.cusum.sum(), growth })
+    }
+
+    fn limits(&self, relative: &Relative, knows_load: bool) -> CusumLimits {
+        let baseline = &self.baseline;
+        let deviation_m2 = baseline
+            .load_residual_deviation_m2
+            .filter(|_| knows_load)
+            .unwrap_or(baseline.residual_deviation_m2)
+            .max(LEAST_DEVIATION_M2);
+        CusumLimits {
+            reference_m2: relative.kind(knows_load, &baseline.mean).reference_m2,
+            deviation_m2,
+            threshold: relative.file().detection.threshold,
+        }
+    }
+
+    fn load_of(&self, cycle: &ValidCycle<'_>) -> (LoadKnowledge, Option<f64>) {
+        match (self.baseline.load_n, cycle.statistics.load) {
+            (Some(_), Some(load)) if load.is_frozen() => (LoadKnowledge::Frozen, None),
+            (Some(before_n), Some(load)) => (LoadKnowledge::Measured, Some(load.mean_n / before_n - 1.0)),
+            _ => (LoadKnowledge::Inferred, None),
+        }
+    }
+}

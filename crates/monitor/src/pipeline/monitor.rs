@@ -1,0 +1,291 @@
+//! A duty cycle and what watches it: its reader, its model, its baseline.
+
+use std::sync::Arc;
+
+use seepd_features::reader::MAX_FEATURES;
+use seepd_features::{CycleReader, CycleState, ReaderError, ValidCycle};
+use seepd_model::{Attribution, Estimate, Model, OutOfDistribution};
+
+use crate::baseline::comparator::ComparedCycle;
+use crate::baseline::{
+    Baseline, BaselineComparator, BaselineError, Cusum, CusumFinding, Learner, LoadKnowledge, relative_of,
+};
+
+/// A duty cycle of the axis.
+#[derive(Debug, Clone)]
+pub struct DutyCycle {
+    /// Name, where the axis has several.
+    pub name: Option<String>,
+    /// Its model.
+    pub model: Arc<Model>,
+}
+
+impl DutyCycle {
+    /// The only duty cycle of an axis.
+    pub fn only(model: impl Into<Arc<Model>>) -> Self {
+        DutyCycle { name: None, model: model.into() }
+    }
+
+    /// The longest period, s; 0 without a duty cycle.
+    pub fn longest_period_s(all: &[DutyCycle]) -> f64 {
+        all.iter().map(|duty_cycle| duty_cycle.model.file().cycle.period_s).fold(0.0, f64::max)
+    }
+
+    /// Every feature of any of the duty cycles, once, in their order.
+    pub fn feature_names(all: &[DutyCycle]) -> Vec<String> {
+        let mut names: Vec<String> = Vec::new();
+        for name in all.iter().flat_map(|duty_cycle| duty_cycle.model.feature_names()) {
+            if !names.contains(name) {
+                names.push(name.clone());
+            }
+        }
+        names
+    }
+}
+
+self_cell::self_cell!(
+    /// A reader of cycles with the model that it borrows from, so that a pipeline needs no lifetime.
+    pub(super) struct ModelReader {
+        owner: Arc<Model>,
+        #[covariant]
+        dependent: CycleReader,
+    }
+);
+
+impl ModelReader {
+    fn open(model: &Arc<Model>) -> Result<Self, ReaderError> {
+        ModelReader::try_new(Arc::clone(model), |model| model.reader())
+    }
+
+    /// The reader.
+    pub(super) fn get(&self) -> &CycleReader<'_> {
+        self.borrow_dependent()
+    }
+}
+
+/// Names of what contributes to a leak residual: the phases, then the load.
+fn contributors(model: &Model) -> Vec<String> {
+    let phases = model.file().cycle.phases.iter().map(|phase| phase.name.clone());
+    phases.chain(["load".to_owned()]).collect()
+}
+
+/// Whether cycles are compared with a baseline.
+#[derive(Debug, Clone)]
+enum Commissioning {
+    /// They are not.
+    Absent,
+    /// They are to become one.
+    Learning(Learner),
+    /// They are.
+    Comparing(Box<BaselineComparator>),
+}
+
+/// What watches a duty cycle.
+pub struct Monitor {
+    pub(super) reader: ModelReader,
+    pub(super) state: CycleState<Vec<f32>>,
+    pub(super) estimator: CycleEstimator,
+}
+
+/// What a monitor makes of the cycles that its reader finds.
+pub(super) struct CycleEstimator {
+    pub(super) name: Option<String>,
+    pub(super) model: Arc<Model>,
+    pub(super) contributors: Vec<String>,
+    attribution: Attribution,
+    commissioning: Commissioning,
+    /// What was last announced of the baseline, so that each change is announced once.
+    pub(super) announced: Announced,
+    /// Cycles with an estimate.
+    pub(super) cycles: u64,
+}
+
+/// What was announced last.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Announced {
+    pub(super) finding: CusumFinding,
+    pub(super) load: LoadKnowledge,
+    /// Cycles in a row that are unlike baseline or training.
+    pub(super) unlike: u32,
+}
+
+impl Default for Announced {
+    fn default() -> Self {
+        Announced { finding: CusumFinding::None, load: LoadKnowledge::Inferred, unlike: 0 }
+    }
+}
+
+/// The simulator-trained estimate of a cycle.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Absolute {
+    pub(super) estimate: Estimate,
+    pub(super) out_of_distribution: OutOfDistribution,
+    /// What each feature contributes, in the model's order.
+    pub(super) contributions: [f64; MAX_FEATURES],
+}
+
+impl Monitor {
+    /// Begins with an empty memory.
+    ///
+    /// # Errors
+    /// [`ReaderError`] of a model that has more features, phases or bins than the reader has room for.
+    pub(super) fn new(duty_cycle: &DutyCycle) -> Result<Self, ReaderError> {
+        let model = Arc::clone(&duty_cycle.model);
+        let reader = ModelReader::open(&model)?;
+        let state = reader.get().start(vec![0.0; reader.get().definition().ring_samples()])?;
+        Ok(Monitor {
+            reader,
+            state,
+            estimator: CycleEstimator {
+                name: duty_cycle.name.clone(),
+                contributors: contributors(&model),
+                attribution: model.attribution(),
+                model,
+                commissioning: Commissioning::Absent,
+                announced: Announced::default(),
+                cycles: 0,
+            },
+        })
+    }
+
+    /// The duty cycle's name, where the axis has several.
+    pub fn name(&self) -> Option<&str> {
+        self.estimator.name.as_deref()
+    }
+
+    /// The duty cycle's model.
+    pub fn model(&self) -> &Model {
+        &self.estimator.model
+    }
+
+    /// Its cycles with an estimate.
+    pub fn cycles(&self) -> u64 {
+        self.estimator.cycles
+    }
+
+    /// Compares cycles with a baseline from now on.
+    pub fn follow(&mut self, baseline: Baseline) {
+        self.estimator.follow(baseline);
+    }
+
+    /// Learns a baseline from the next cycles, and compares with it from then on.
+    ///
+    /// # Errors
+    /// [`BaselineError::CannotCompare`]: learning would begin anew for ever.
+    pub fn learn(&mut self, occasion: &str, cycles: usize) -> Result<(), BaselineError> {
+        relative_of(&self.estimator.model)?;
+        self.estimator.commissioning = Commissioning::Learning(Learner::new(occasion, cycles));
+        self.estimator.announced.finding = CusumFinding::None;
+        Ok(())
+    }
+
+    /// The baseline that cycles are compared with.
+    pub fn baseline(&self) -> Option<&Baseline> {
+        match &self.estimator.commissioning {
+            Commissioning::Comparing(comparator) => Some(comparator.baseline()),
+            _ => None,
+        }
+    }
+
+    /// What gathers a baseline, while it does.
+    pub fn learner(&self) -> Option<&Learner> {
+        match &self.estimator.commissioning {
+            Commissioning::Learning(learner) => Some(learner),
+            _ => None,
+        }
+    }
+
+    /// What the sums over cycles say against the baseline.
+    pub fn finding(&self) -> CusumFinding {
+        self.estimator.announced.finding
+    }
+
+    /// The sums over cycles, where there is a baseline.
+    pub fn cusum(&self) -> Option<Cusum> {
+        match &self.estimator.commissioning {
+            Commissioning::Comparing(comparator) => Some(*comparator.cusum()),
+            _ => None,
+        }
+    }
+
+    /// Takes the sums up where an earlier run left them.
+    pub fn restore_cusum(&mut self, cusum: Cusum) {
+        if let Commissioning::Comparing(comparator) = &mut self.estimator.commissioning {
+            comparator.restore(cusum);
+            self.estimator.announced.finding = cusum.finding();
+        }
+    }
+}
+
+impl CycleEstimator {
+    /// What the model says of a cycle by itself.
+    pub(super) fn absolute(&self, valid: &ValidCycle<'_>) -> Absolute {
+        let (estimate, out_of_distribution) = self.estimate(valid);
+        let mut contributions = [0.0; MAX_FEATURES];
+        self.attribution.contributions(self.model.ensemble(), valid.features, &mut contributions);
+        Absolute { estimate, out_of_distribution, contributions }
+    }
+
+    fn estimate(&self, valid: &ValidCycle<'_>) -> (Estimate, OutOfDistribution) {
+        let estimate = self.model.estimate_at(valid.features, valid.statistics.noise);
+        let out_of_distribution = self.model.out_of_distribution(&estimate, &valid.statistics.phase_means());
+        (estimate, out_of_distribution)
+    }
+
+    /// Whether there is a baseline.
+    pub(super) fn is_comparing(&self) -> bool {
+        matches!(self.commissioning, Commissioning::Comparing(_))
+    }
+
+    /// How far a cycle is from what is known: from the baseline where there is one, else from training. Above 1 it is unknown.
+    pub(super) fn out_of_distribution(&self, valid: &ValidCycle<'_>) -> f64 {
+        let compared = match &self.commissioning {
+            Commissioning::Comparing(comparator) => comparator.compare(&self.model, valid),
+            _ => None,
+        };
+        compared
+            .map_or_else(|| self.estimate(valid).1.score, |(estimate, ..)| estimate.out_of_distribution.score)
+    }
+
+    /// Compares a cycle that ends at a time, s, with the baseline, where there is one.
+    pub(super) fn compare_cycle(&mut self, valid: &ValidCycle<'_>, end_s: f64) -> Option<ComparedCycle> {
+        match &mut self.commissioning {
+            Commissioning::Comparing(comparator) => comparator.take(&self.model, valid, end_s),
+            _ => None,
+        }
+    }
+
+    fn follow(&mut self, baseline: Baseline) {
+        self.commissioning = Commissioning::Comparing(Box::new(BaselineComparator::new(baseline)));
+        self.announced = Announced::default();
+    }
+
+    /// Takes a cycle on the way to a baseline; the baseline in words, or why there is none, once there are enough.
+    pub(super) fn learn_from(
+        &mut self,
+        valid: &ValidCycle<'_>,
+        absolute: Estimate,
+    ) -> Option<Result<String, String>> {
+        let Commissioning::Learning(learner) = &mut self.commissioning else { return None };
+        learner.take(valid, absolute);
+        if !learner.is_full() {
+            return None;
+        }
+        match learner.baseline(&self.model) {
+            Ok(baseline) => {
+                let mut text = format!("a baseline of {} cycles has been learned", baseline.cycles);
+                for remark in &baseline.remarks {
+                    text.push_str("; ");
+                    text.push_str(remark);
+                }
+                self.follow(baseline);
+                Some(Ok(text))
+            }
+            Err(error) => {
+                let anew = Learner::new(learner.occasion(), learner.wanted());
+                self.commissioning = Commissioning::Learning(anew);
+                Some(Err(format!("no baseline: {error}; learning begins anew")))
+            }
+        }
+    }
+}

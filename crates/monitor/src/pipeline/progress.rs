@@ -1,0 +1,345 @@
+//! What an axis remembers between cycles, and what it tells of each.
+
+use std::collections::BTreeMap;
+
+use seepd_features::{Outcome, ValidCycle};
+use seepd_model::OutOfDistribution;
+
+use super::MonitorConfig;
+use super::monitor::{Absolute, CycleEstimator};
+use crate::alarm::{Alarm, Change};
+use crate::baseline::comparator::ComparedCycle;
+use crate::baseline::{CusumFinding, LoadKnowledge};
+use crate::event::{
+    AbsoluteLine, ComparisonLine, CycleLine, Event, FeatureValues, Flag, FlagEvent, Notice, NoticeKind,
+};
+
+/// Rejections by reason, in order of first appearance: those of [`Reason`](seepd_features::Reason), and the two below.
+const REASONS: usize = 10;
+/// Reason of cycles that differ from the baseline as nothing in training does.
+const UNLIKE_BASELINE: &str = "unlike_baseline";
+/// Reason of cycles without a baseline that are like no machine of training.
+const UNLIKE_TRAINING: &str = "unlike_training";
+/// Estimates whose median is the summary's.
+const RECENT: usize = 9;
+/// Cycles in a row that are unlike the baseline or training before a person is announced.
+const UNLIKE_CYCLES: u32 = 5;
+
+/// What the pipeline remembers between cycles.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Progress {
+    pub(super) alarm: Alarm,
+    pub(super) first_ns: Option<i64>,
+    pub(super) newest_ns: i64,
+    /// End of the last cycle, used or rejected, or the first sample's time.
+    pub(super) last_cycle_ns: i64,
+    pub(super) cycle: u64,
+    pub(super) valid: u64,
+    rejected: [(&'static str, u64); REASONS],
+    recent_m2: [f64; RECENT],
+}
+
+impl Progress {
+    /// A sample of that time has come.
+    #[inline]
+    pub(super) fn note_time(&mut self, time_ns: i64) {
+        if self.first_ns.is_none() {
+            self.first_ns = Some(time_ns);
+            self.last_cycle_ns = time_ns;
+        }
+        self.newest_ns = time_ns;
+    }
+
+    fn seconds(&self, time_ns: i64) -> f64 {
+        time_ns.saturating_sub(self.first_ns.unwrap_or(0)) as f64 / 1e9
+    }
+
+    /// There is nothing to base a statement on.
+    pub(super) fn lose(
+        &mut self,
+        config: &MonitorConfig,
+        reason: &'static str,
+        sink: &mut impl FnMut(&Event<'_>),
+    ) {
+        if let Some(change) = self.alarm.lost(reason) {
+            sink(&self.flag_event(config, change, self.newest_ns));
+        }
+    }
+
+    /// Takes a cycle of a duty cycle; `found_elsewhere` where another one's sums have found a leak.
+    pub(super) fn take(
+        &mut self,
+        config: &MonitorConfig,
+        estimator: &mut CycleEstimator,
+        outcome: &Outcome<'_>,
+        found_elsewhere: bool,
+        sink: &mut impl FnMut(&Event<'_>),
+    ) {
+        let (start_ns, end_ns) = match outcome {
+            Outcome::Valid(valid) => (valid.start_ns, valid.end_ns),
+            Outcome::Rejected(rejected) => (rejected.start_ns, rejected.end_ns),
+        };
+        self.last_cycle_ns = end_ns.max(self.last_cycle_ns.min(self.newest_ns));
+        let change = match outcome {
+            Outcome::Valid(valid) => self.take_valid(config, estimator, valid, found_elsewhere, sink),
+            Outcome::Rejected(rejected) => {
+                let reason = rejected.reason.name();
+                self.count_rejection(reason);
+                let line = CycleLine { reason: Some(reason), ..self.blank_line(config, start_ns, end_ns) };
+                sink(&Event::Cycle(line));
+                self.alarm.rejected(&config.alarm, reason)
+            }
+        };
+        if let Some(change) = change {
+            sink(&self.flag_event(config, change, end_ns));
+        }
+        self.cycle += 1;
+    }
+
+    /// A cycle's line without an estimate.
+    fn blank_line<'l>(&self, config: &'l MonitorConfig, start_ns: i64, end_ns: i64) -> CycleLine<'l> {
+        CycleLine {
+            schema: "seepd.cycle/1",
+            axis: &config.axis,
+            cycle: self.cycle,
+            duty_cycle: None,
+            t_start_s: self.seconds(start_ns),
+            t_end_s: self.seconds(end_ns),
+            t_start_ns: start_ns,
+            leak_area_m2: None,
+            interval90_m2: None,
+            leak_flow_lpm: None,
+            reference_dp_pa: config.reference_dp_pa,
+            flag: Flag::NoEstimate,
+            reason: None,
+            absolute: None,
+            comparison: None,
+            features: None,
+        }
+    }
+
+    fn take_valid(
+        &mut self,
+        config: &MonitorConfig,
+        estimator: &mut CycleEstimator,
+        valid: &ValidCycle<'_>,
+        found_elsewhere: bool,
+        sink: &mut impl FnMut(&Event<'_>),
+    ) -> Option<Change> {
+        let absolute = estimator.absolute(valid);
+        let compared = estimator.compare_cycle(valid, self.seconds(valid.end_ns));
+        let out_of_distribution =
+            compared.map_or(absolute.out_of_distribution, |compared| compared.estimate.out_of_distribution);
+        let reason = (out_of_distribution.score > 1.0).then_some(if compared.is_some() {
+            UNLIKE_BASELINE
+        } else {
+            UNLIKE_TRAINING
+        });
+        let estimate = compared.map_or(absolute.estimate, |compared| compared.estimate.estimate);
+        let flow_lpm = config.flow_lpm(estimate.value);
+        let change = if let Some(reason) = reason {
+            self.count_rejection(reason);
+            self.alarm.rejected(&config.alarm, reason)
+        } else {
+            self.recent_m2[(self.valid % RECENT as u64) as usize] = estimate.value;
+            self.valid += 1;
+            estimator.cycles += 1;
+            let found =
+                found_elsewhere || compared.is_some_and(|compared| compared.finding == CusumFinding::Leak);
+            self.alarm.estimated_with(&config.alarm, flow_lpm, found)
+        };
+        let names = estimator.model.feature_names();
+        let is_known = reason.is_none();
+        let line = CycleLine {
+            duty_cycle: estimator.name.as_deref(),
+            leak_area_m2: is_known.then_some(estimate.value),
+            interval90_m2: is_known.then_some(estimate.interval),
+            leak_flow_lpm: is_known.then_some(flow_lpm),
+            flag: if is_known { self.alarm.flag() } else { Flag::NoEstimate },
+            reason,
+            absolute: Some(absolute_line(&absolute, names)),
+            comparison: compared.as_ref().map(|compared| comparison_line(config, estimator, compared)),
+            features: Some(FeatureValues { names, values: valid.features }),
+            ..self.blank_line(config, valid.start_ns, valid.end_ns)
+        };
+        sink(&Event::Cycle(line));
+        if let Some(compared) = &compared {
+            self.tell_findings(config, estimator, valid.end_ns, compared, sink);
+        }
+        self.tell_out_of_distribution(config, estimator, valid.end_ns, (out_of_distribution, reason), sink);
+        if let Some(learned) = estimator.learn_from(valid, absolute.estimate) {
+            let news = match learned {
+                Ok(text) => (NoticeKind::BaselineLearned, text),
+                Err(text) => (NoticeKind::BaselineFailed, text),
+            };
+            self.tell(config, estimator, news, valid.end_ns, sink);
+        }
+        change
+    }
+
+    /// Tells what has changed against the baseline, once each.
+    fn tell_findings(
+        &self,
+        config: &MonitorConfig,
+        estimator: &mut CycleEstimator,
+        at_ns: i64,
+        compared: &ComparedCycle,
+        sink: &mut impl FnMut(&Event<'_>),
+    ) {
+        let before = std::mem::replace(&mut estimator.announced.finding, compared.finding);
+        if before != compared.finding {
+            let flow_lpm = config.flow_lpm(compared.estimate.estimate.value);
+            let news = match compared.finding {
+                CusumFinding::Leak => {
+                    let text = format!("more leakage than at the baseline: about {flow_lpm:.3} L/min");
+                    (NoticeKind::LeakFound, text)
+                }
+                CusumFinding::Improved => {
+                    let text = "less leakage than at the baseline: it was learned from a machine that leaked, or the seal has been \
+                                replaced; learn a new baseline";
+                    (NoticeKind::Improved, text.to_owned())
+                }
+                CusumFinding::None => (NoticeKind::LeakGone, "as at the baseline again".to_owned()),
+            };
+            self.tell(config, estimator, news, at_ns, sink);
+        }
+        let before = std::mem::replace(&mut estimator.announced.load, compared.load);
+        if compared.load == LoadKnowledge::Frozen && before != LoadKnowledge::Frozen {
+            let text =
+                "the load's signal stands still over a whole cycle: it is not used; look at its sensor"
+                    .to_owned();
+            self.tell(config, estimator, (NoticeKind::LoadFrozen, text), at_ns, sink);
+        }
+    }
+
+    /// Tells that several cycles in a row are unlike the baseline, or unlike training where there is none.
+    fn tell_out_of_distribution(
+        &self,
+        config: &MonitorConfig,
+        estimator: &mut CycleEstimator,
+        at_ns: i64,
+        (out_of_distribution, reason): (OutOfDistribution, Option<&str>),
+        sink: &mut impl FnMut(&Event<'_>),
+    ) {
+        estimator.announced.unlike =
+            if reason.is_some() { estimator.announced.unlike.saturating_add(1) } else { 0 };
+        if estimator.announced.unlike != UNLIKE_CYCLES {
+            return;
+        }
+        let where_most =
+            estimator.contributors.get(out_of_distribution.most_unusual).map_or("", String::as_str);
+        let distance = format!(
+            "(distance {:.1} times the limit, most of it in {where_most})",
+            out_of_distribution.score
+        );
+        let news = if reason == Some(UNLIKE_BASELINE) {
+            let text = format!(
+                "{UNLIKE_CYCLES} cycles in a row differ from the baseline as no leak, load, oil or supply of the training explains \
+                 {distance}: has a valve, a sensor or the duty cycle been changed? If the seal is good, learn a new baseline"
+            );
+            (NoticeKind::UnlikeBaseline, text)
+        } else {
+            let text = format!(
+                "{UNLIKE_CYCLES} cycles in a row are like no machine that the model was trained on {distance}: if the seal is good, learn \
+                 a baseline; or train a model on this machine's plant file and duty cycle"
+            );
+            (NoticeKind::UnlikeTraining, text)
+        };
+        self.tell(config, estimator, news, at_ns, sink);
+    }
+
+    fn tell(
+        &self,
+        config: &MonitorConfig,
+        estimator: &CycleEstimator,
+        (notice, text): (NoticeKind, String),
+        at_ns: i64,
+        sink: &mut impl FnMut(&Event<'_>),
+    ) {
+        let text = estimator
+            .name
+            .as_deref()
+            .map_or_else(|| text.clone(), |name| format!("duty cycle {name}: {text}"));
+        sink(&Event::Notice(Notice {
+            schema: "seepd.notice/1",
+            axis: &config.axis,
+            notice,
+            text,
+            cycle: self.cycle,
+            t_s: self.seconds(at_ns),
+            t_ns: at_ns,
+        }));
+    }
+
+    fn flag_event<'a>(&self, config: &'a MonitorConfig, change: Change, at_ns: i64) -> Event<'a> {
+        Event::Flag(FlagEvent {
+            schema: "seepd.event/1",
+            axis: &config.axis,
+            flag_from: change.from,
+            flag_to: change.to,
+            cycle: self.cycle,
+            t_s: self.seconds(at_ns),
+            t_ns: at_ns,
+            text: change.evidence.to_string(),
+            evidence: change.evidence,
+        })
+    }
+
+    fn count_rejection(&mut self, reason: &'static str) {
+        let slot = self.rejected.iter_mut().find(|(known, count)| *known == reason || *count == 0);
+        if let Some(slot) = slot {
+            *slot = (reason, slot.1 + 1);
+        }
+    }
+
+    /// Rejected cycles by reason.
+    pub(super) fn rejections(&self) -> BTreeMap<&'static str, u64> {
+        self.rejected.iter().copied().filter(|(_, count)| *count > 0).collect()
+    }
+
+    /// Median of the last estimates, m².
+    pub(super) fn recent_area_m2(&self) -> Option<f64> {
+        let count = (self.valid as usize).min(RECENT);
+        let mut recent = self.recent_m2;
+        let recent = recent.get_mut(..count)?;
+        recent.sort_by(f64::total_cmp);
+        recent.get(count / 2).copied()
+    }
+}
+
+fn absolute_line<'l>(absolute: &'l Absolute, names: &'l [String]) -> AbsoluteLine<'l> {
+    AbsoluteLine {
+        absolute_leak_area_m2: absolute.estimate.value,
+        absolute_interval90_m2: absolute.estimate.interval,
+        absolute_out_of_distribution: absolute.out_of_distribution.score,
+        absolute_why: FeatureValues {
+            names,
+            values: absolute.contributions.get(..names.len()).unwrap_or_default(),
+        },
+    }
+}
+
+fn comparison_line<'l>(
+    config: &MonitorConfig,
+    estimator: &'l CycleEstimator,
+    compared: &'l ComparedCycle,
+) -> ComparisonLine<'l> {
+    let ComparedCycle { estimate, load, load_change, finding, sum, growth } = compared;
+    let known = estimator.contributors.len() - usize::from(load_change.is_none());
+    let area_of = |flow_lpm: f64| flow_lpm / config.flow_lpm(1.0);
+    let until = |flow_lpm| growth.map(|growth| growth.time_to(area_of(flow_lpm)));
+    ComparisonLine {
+        leak_residual_m2: estimate.leak_residual_m2,
+        out_of_distribution: estimate.out_of_distribution.score,
+        load: *load,
+        load_change: *load_change,
+        finding: *finding,
+        cusum: *sum,
+        time_to_leak: until(config.alarm.leak_lpm),
+        time_to_severe: until(config.alarm.severe_lpm),
+        why: FeatureValues {
+            names: estimator.contributors.get(..known).unwrap_or_default(),
+            values: estimate.contributions_m2.get(..known).unwrap_or_default(),
+        },
+    }
+}
