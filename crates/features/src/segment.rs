@@ -5,23 +5,40 @@
 //! loads and valves change. A maximum of the last stroke's correlation looks back for the first stroke's at
 //! the planned distance; the two anchor the cycle. Standstill between cycles does not matter.
 
-/// A stroke by whose shape cycles are found.
-#[derive(Debug, Clone, Copy)]
-pub struct Anchor<'m> {
-    /// Shape in bins, mean 0 and sum of squares 1.
-    pub template: &'m [f32],
+use serde::{Deserialize, Serialize};
+
+/// A stroke by whose shape cycles are found; `T` holds the template's bins, borrowed by a reader, owned by a model's file.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Anchor<T> {
     /// Time in the cycle at which the template ends, s.
     pub end_s: f64,
     /// Least normalised correlation, −1 … 1, that counts as this stroke.
     pub least_correlation: f64,
-    /// Normalised correlation that no other part of a cycle reaches: the match needs not wait for a better one.
+    /// Normalised correlation that no other part of a cycle reaches: the match need not wait for a better one.
     pub sure_correlation: f64,
     /// Least standard deviation of the command over the stroke, share of full command.
     pub least_deviation: f64,
+    /// Shape in bins, mean 0 and sum of squares 1.
+    pub template: T,
+}
+
+impl<T: AsRef<[f32]>> Anchor<T> {
+    /// The same, its template borrowed.
+    pub fn borrowed(&self) -> Anchor<&[f32]> {
+        Anchor {
+            end_s: self.end_s,
+            least_correlation: self.least_correlation,
+            sure_correlation: self.sure_correlation,
+            least_deviation: self.least_deviation,
+            template: self.template.as_ref(),
+        }
+    }
 }
 
 /// What the machine is asked to do in a part of the cycle.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum PhaseKind {
     /// The demand moves.
     Stroke,
@@ -79,7 +96,8 @@ impl<'m> Projections<'m> {
 }
 
 /// A crossing of the demand that tells where cycles begin, for logs that have the demand.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct DemandMark {
     /// Level that is crossed, m.
     pub level_m: f64,
@@ -99,7 +117,7 @@ pub struct CycleDefinition<'m> {
     /// Samples in a bin.
     pub bin_samples: usize,
     /// First and last stroke.
-    pub anchors: [Anchor<'m>; 2],
+    pub anchors: [Anchor<&'m [f32]>; 2],
     /// Where the demand tells the start of a cycle.
     pub demand_mark: Option<DemandMark>,
     /// How far the distance between the strokes may be off plan, share of the period.
@@ -367,7 +385,7 @@ impl SegmentState {
 
     /// Normalised correlation of the newest bins with the template; −1 before there are enough bins, or
     /// where the command hardly moves.
-    fn correlation(&self, anchor: &Anchor<'_>) -> f64 {
+    fn correlation(&self, anchor: &Anchor<&[f32]>) -> f64 {
         let n = anchor.template.len().min(MAX_TEMPLATE_BINS);
         if n == 0 || self.bin_count < n as i64 {
             return -1.0;

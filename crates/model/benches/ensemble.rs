@@ -1,8 +1,8 @@
-//! Cost of an estimate: 100 trees of 250 nodes over distinct rows.
+//! Cost of a prediction: 100 trees of 250 nodes over distinct rows.
 
 use divan::counter::ItemsCount;
 use seepd_model::ensemble::Ensemble;
-use seepd_model::schema::{Calibration, Transform, Tree};
+use seepd_model::schema::Tree;
 
 fn main() {
     divan::main();
@@ -39,14 +39,7 @@ fn hundred_trees_25000_nodes(bencher: divan::Bencher<'_, '_>) {
             tree
         })
         .collect();
-    let calibration = Calibration {
-        level: 0.9,
-        spread_floor: 0.01,
-        factors: vec![(0.0, 1.6)],
-        by_noise: Vec::new(),
-        healthy_limit: 0.0,
-    };
-    let ensemble = Ensemble::from_checked(&trees, Transform::LnOffset(2e-8), calibration);
+    let ensemble = Ensemble::new(&trees, FEATURES).expect("trees in preorder");
     let rows: Vec<[f64; FEATURES]> = (0..4096)
         .map(|_| {
             std::array::from_fn(|_| {
@@ -57,7 +50,7 @@ fn hundred_trees_25000_nodes(bencher: divan::Bencher<'_, '_>) {
         .collect();
     bencher.counter(ItemsCount::new(rows.len())).bench_local(|| {
         for row in &rows {
-            divan::black_box(ensemble.estimate(row));
+            divan::black_box(ensemble.vote(row));
         }
     });
 }

@@ -2,12 +2,13 @@
 
 use alloc::format;
 use alloc::string::{String, ToString};
-use core::fmt;
+use alloc::vec::Vec;
 
 use seepd_features::Feature;
 use seepd_features::reader::MAX_FEATURES;
 use seepd_features::segment::{MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS};
 
+use crate::error::{ModelError, TreeFault};
 use crate::relative::Inputs;
 use crate::schema::{
     Calibration, Cycle, Filter, ModelFile, RelativeFile, SCHEMA, TrainingDistribution, Transform, Tree,
@@ -16,45 +17,24 @@ use crate::schema::{
 /// Largest file that is read, bytes: sixteen times the size that training aims at, and small on any gateway.
 pub const MAX_FILE_BYTES: usize = 16 << 20;
 
-/// Why a model is refused.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct ModelError {
-    /// JSON path, such as `trees[3].right[7]`; empty for the file as a whole.
-    pub path: String,
-    /// What is wrong there.
-    pub message: String,
-}
-
-impl fmt::Display for ModelError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.path.is_empty() || self.path == "." {
-            write!(f, "model: {}", self.message)
-        } else {
-            write!(f, "model: {}: {}", self.path, self.message)
-        }
-    }
-}
-
-impl core::error::Error for ModelError {}
-
-fn refuse<T>(path: impl Into<String>, message: impl Into<String>) -> Result<T, ModelError> {
-    Err(ModelError { path: path.into(), message: message.into() })
-}
-
 /// Reads the structure; nothing of its content has been checked after this.
 pub(crate) fn parse(json: &[u8]) -> Result<ModelFile, ModelError> {
     if json.len() > MAX_FILE_BYTES {
-        return refuse("", format!("{} bytes; at most {MAX_FILE_BYTES} are read", json.len()));
+        return Err(ModelError::TooLong { bytes: json.len() });
     }
     let mut deserializer = serde_json::Deserializer::from_slice(json);
-    let file: ModelFile = serde_path_to_error::deserialize(&mut deserializer)
-        .map_err(|error| ModelError { path: error.path().to_string(), message: told(json, error.inner()) })?;
-    deserializer.end().map_err(|error| ModelError { path: String::new(), message: error.to_string() })?;
+    let file: ModelFile = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
+        let message = described(json, error.inner());
+        ModelError::Json { path: error.path().to_string(), message }
+    })?;
+    deserializer
+        .end()
+        .map_err(|error| ModelError::Json { path: String::new(), message: error.to_string() })?;
     Ok(file)
 }
 
 /// What is wrong with the text; a number that is none is named, as other tools write it.
-fn told(json: &[u8], error: &serde_json::Error) -> String {
+fn described(json: &[u8], error: &serde_json::Error) -> String {
     let line_start = match error.line() {
         0 | 1 => 0,
         line => json
@@ -81,7 +61,7 @@ fn told(json: &[u8], error: &serde_json::Error) -> String {
 /// Checks everything but the golden pairs.
 pub(crate) fn check(file: &ModelFile) -> Result<(), ModelError> {
     if file.schema != SCHEMA {
-        return refuse("schema", format!("is `{}`; this program reads `{SCHEMA}`", file.schema));
+        return Err(ModelError::Schema { given: file.schema.clone() });
     }
     within("sample_rate_hz", file.sample_rate_hz, 1.0, 1e6)?;
     if let Some(Filter::Kalman(kalman)) = &file.filter {
@@ -92,10 +72,7 @@ pub(crate) fn check(file: &ModelFile) -> Result<(), ModelError> {
     check_projections(file)?;
     check_features(file)?;
     if (file.target.as_str(), file.unit.as_str()) != ("leak_area", "m2") {
-        return refuse(
-            "target",
-            format!("is `{}` in `{}`; this program knows `leak_area` in `m2`", file.target, file.unit),
-        );
+        return Err(ModelError::Target { target: file.target.clone(), unit: file.unit.clone() });
     }
     if let Transform::LnOffset(offset) = file.transform {
         within("transform.ln_offset", offset, 1e-15, 1.0)?;
@@ -103,7 +80,7 @@ pub(crate) fn check(file: &ModelFile) -> Result<(), ModelError> {
     within("orifice.discharge_coefficient", file.orifice.discharge_coefficient, 0.01, 1.0)?;
     within("orifice.density_kg_per_m3", file.orifice.density_kg_per_m3, 100.0, 1e4)?;
     if file.trees.is_empty() {
-        return refuse("trees", "is empty");
+        return Err(ModelError::Empty { path: "trees".into() });
     }
     for (index, tree) in file.trees.iter().enumerate() {
         check_tree(tree, file.features.len(), &format!("trees[{index}]"))?;
@@ -117,7 +94,7 @@ fn within(path: &str, value: f64, low: f64, high: f64) -> Result<(), ModelError>
     if (low..=high).contains(&value) {
         return Ok(());
     }
-    refuse(path, format!("is {value}; it must lie in {low} … {high}"))
+    Err(ModelError::OutOfRange { path: path.into(), value, low, high })
 }
 
 fn check_cycle(cycle: &Cycle, sample_rate_hz: f64) -> Result<(), ModelError> {
@@ -136,17 +113,18 @@ fn check_cycle(cycle: &Cycle, sample_rate_hz: f64) -> Result<(), ModelError> {
         all_finite(&path("template"), anchor.template.iter().map(|value| f64::from(*value)))?;
     }
     if cycle.anchors[1].end_s <= cycle.anchors[0].end_s {
-        return refuse("cycle.anchors[1].end_s", "must be later than that of anchors[0]");
+        return Err(ModelError::AnchorOrder {
+            first_s: cycle.anchors[0].end_s,
+            second_s: cycle.anchors[1].end_s,
+        });
     }
     within("cycle.phases.length", cycle.phases.len() as f64, 1.0, MAX_PHASES as f64)?;
     for (index, phase) in cycle.phases.iter().enumerate() {
         within(&format!("cycle.phases[{index}].from_s"), phase.from_s, 0.0, cycle.period_s)?;
         within(&format!("cycle.phases[{index}].to_s"), phase.to_s, phase.from_s, cycle.period_s)?;
         if cycle.phases.iter().take(index).any(|other| other.name == phase.name) {
-            return refuse(
-                format!("cycle.phases[{index}].name"),
-                format!("`{}` is there already", phase.name),
-            );
+            let path = format!("cycle.phases[{index}].name");
+            return Err(ModelError::RepeatedPhase { path, name: phase.name.clone() });
         }
     }
     if let Some(mark) = &cycle.demand_mark {
@@ -159,7 +137,7 @@ fn check_cycle(cycle: &Cycle, sample_rate_hz: f64) -> Result<(), ModelError> {
 fn all_finite(path: &str, values: impl Iterator<Item = f64>) -> Result<(), ModelError> {
     for (index, value) in values.enumerate() {
         if !value.is_finite() {
-            return refuse(format!("{path}[{index}]"), format!("is {value}; it must be a finite number"));
+            return Err(ModelError::NotFinite { path: format!("{path}[{index}]"), value });
         }
     }
     Ok(())
@@ -171,9 +149,7 @@ fn check_projections(file: &ModelFile) -> Result<(), ModelError> {
     for (index, projection) in file.projections.iter().enumerate() {
         for (key, values) in [("mean", &projection.mean), ("loading", &projection.loading)] {
             let path = format!("projections[{index}].{key}");
-            if values.len() != bins {
-                return refuse(path, format!("has {} values; the cycle has {bins} bins", values.len()));
-            }
+            check_length(&path, values.len(), bins)?;
             all_finite(&path, values.iter().map(|value| f64::from(*value)))?;
         }
     }
@@ -184,12 +160,8 @@ fn check_features(file: &ModelFile) -> Result<(), ModelError> {
     within("features.length", file.features.len() as f64, 1.0, MAX_FEATURES as f64)?;
     for (index, name) in file.features.iter().enumerate() {
         if feature(file, name).is_none() {
-            let known: alloc::vec::Vec<&str> = Feature::names().collect();
-            let message = format!(
-                "unknown feature `{name}`; known are {}, mean.PHASE, slope.PHASE, relative.PHASE and the projections",
-                known.join(", ")
-            );
-            return refuse(format!("features[{index}]"), message);
+            let path = format!("features[{index}]");
+            return Err(ModelError::UnknownFeature { path, name: name.clone() });
         }
     }
     Ok(())
@@ -201,20 +173,26 @@ pub(crate) fn feature(file: &ModelFile, name: &str) -> Option<Feature> {
     Feature::from_name(name, phases, file.projections.iter().map(|projection| projection.name.as_str()))
 }
 
-fn check_tree(tree: &Tree, features: usize, path: &str) -> Result<(), ModelError> {
+pub(crate) fn check_tree(tree: &Tree, features: usize, path: &str) -> Result<(), ModelError> {
     let nodes = tree.feature.len();
-    for (key, length) in [("value", tree.value.len()), ("right", tree.right.len())] {
-        if length != nodes {
-            return refuse(format!("{path}.{key}"), format!("has {length} entries; feature has {nodes}"));
-        }
-    }
+    check_length(&format!("{path}.value"), tree.value.len(), nodes)?;
+    check_length(&format!("{path}.right"), tree.right.len(), nodes)?;
     if nodes == 0 {
-        return refuse(path, "has no nodes");
+        return Err(ModelError::Empty { path: path.into() });
     }
     all_finite(&format!("{path}.value"), tree.value.iter().copied())?;
-    // In preorder each subtree is one run of nodes: walking along, `ends` holds where the right children
+    preorder(tree, features).map_err(|(column, index, fault)| ModelError::Tree {
+        path: format!("{path}.{column}[{index}]"),
+        fault,
+    })
+}
+
+/// Whether the nodes are a tree in preorder; if not, the column and the node that show it.
+fn preorder(tree: &Tree, features: usize) -> Result<(), (&'static str, usize, TreeFault)> {
+    let nodes = tree.feature.len();
+    // In preorder each subtree is one run of nodes: walking along, this holds where the right children
     // still to come must begin. A tree that loops, shares or skips nodes breaks the order.
-    let mut expected_right = alloc::vec::Vec::new();
+    let mut expected_right: Vec<(usize, usize)> = Vec::new();
     for (index, (feature, right)) in tree.feature.iter().zip(&tree.right).enumerate() {
         if *feature == -1 {
             if index + 1 == nodes {
@@ -223,37 +201,25 @@ fn check_tree(tree: &Tree, features: usize, path: &str) -> Result<(), ModelError
             match expected_right.pop() {
                 Some((_, right)) if right == index + 1 => {}
                 Some((parent, right)) => {
-                    let message =
-                        format!("is {right}; the left subtree ends at {index}, so it must be {}", index + 1);
-                    return refuse(format!("{path}.right[{parent}]"), message);
+                    return Err(("right", parent, TreeFault::MisplacedChild { right, expected: index + 1 }));
                 }
-                None => return refuse(format!("{path}.feature[{}]", index + 1), "no node leads here"),
+                None => return Err(("feature", index + 1, TreeFault::Unreachable)),
             }
             continue;
         }
         if usize::try_from(*feature).map_or(true, |feature| feature >= features) {
-            return refuse(
-                format!("{path}.feature[{index}]"),
-                format!("is {feature}; there are {features} features"),
-            );
+            return Err(("feature", index, TreeFault::Feature { feature: *feature, features }));
         }
         let right = *right as usize;
         if right <= index + 1 || right >= nodes {
-            let message = format!(
-                "is {right}; it must lie in {} … {}: children follow their parent, or the tree would loop",
-                index + 2,
-                nodes as i64 - 1
-            );
-            return refuse(format!("{path}.right[{index}]"), message);
+            return Err(("right", index, TreeFault::ChildOutOfRange { right, low: index + 2, nodes }));
         }
         expected_right.push((index, right));
     }
     match (expected_right.last(), tree.feature.last()) {
-        (Some((parent, right)), _) => {
-            refuse(format!("{path}.right[{parent}]"), format!("is {right}; no subtree begins there"))
-        }
+        (Some((parent, right)), _) => Err(("right", *parent, TreeFault::MissingChild { right: *right })),
         (None, Some(-1)) => Ok(()),
-        (None, _) => refuse(format!("{path}.feature[{}]", nodes - 1), "the last node must be a leaf"),
+        (None, _) => Err(("feature", nodes - 1, TreeFault::EndsWithoutLeaf)),
     }
 }
 
@@ -264,12 +230,7 @@ fn check_calibration(calibration: &Calibration, path: &str) -> Result<(), ModelE
     check_factors(&calibration.factors, &format!("{path}.factors"))?;
     let mut before = 0.0;
     for (index, (noise, factors)) in calibration.by_noise.iter().enumerate() {
-        if !noise.is_finite() || *noise <= before {
-            return refuse(
-                format!("{path}.by_noise[{index}][0]"),
-                format!("is {noise}; it must ascend from above 0"),
-            );
-        }
+        check_ascends(&format!("{path}.by_noise[{index}][0]"), before, *noise)?;
         before = *noise;
         check_factors(factors, &format!("{path}.by_noise[{index}][1]"))?;
     }
@@ -278,23 +239,33 @@ fn check_calibration(calibration: &Calibration, path: &str) -> Result<(), ModelE
 
 fn check_factors(factors: &[(f64, f64)], path: &str) -> Result<(), ModelError> {
     if factors.is_empty() {
-        return refuse(path, "is empty");
+        return Err(ModelError::Empty { path: path.into() });
     }
     let mut before = f64::NEG_INFINITY;
     for (index, (y, factor)) in factors.iter().enumerate() {
         within(&format!("{path}[{index}][1]"), *factor, 0.0, 1e6)?;
-        if !y.is_finite() || *y <= before {
-            return refuse(format!("{path}[{index}][0]"), format!("is {y}; it must ascend"));
-        }
+        check_ascends(&format!("{path}[{index}][0]"), before, *y)?;
         before = *y;
     }
     Ok(())
 }
 
-fn has_length(path: &str, values: &[f64], length: usize) -> Result<(), ModelError> {
-    if values.len() != length {
-        return refuse(path, format!("has {} values; it must have {length}", values.len()));
+fn check_ascends(path: &str, before: f64, value: f64) -> Result<(), ModelError> {
+    if value.is_finite() && value > before {
+        return Ok(());
     }
+    Err(ModelError::NotAscending { path: path.into(), value })
+}
+
+pub(crate) fn check_length(path: &str, given: usize, expected: usize) -> Result<(), ModelError> {
+    if given == expected {
+        return Ok(());
+    }
+    Err(ModelError::Length { path: path.into(), given, expected })
+}
+
+fn has_length(path: &str, values: &[f64], expected: usize) -> Result<(), ModelError> {
+    check_length(path, values.len(), expected)?;
     all_finite(path, values.iter().copied())
 }
 
@@ -317,13 +288,13 @@ pub(crate) fn check_relative(file: &RelativeFile, phases: usize) -> Result<(), M
         }
     }
     if file.trees.is_empty() {
-        return refuse("relative.trees", "is empty");
+        return Err(ModelError::Empty { path: "relative.trees".into() });
     }
     for (index, tree) in file.trees.iter().enumerate() {
         check_tree(tree, Inputs::tree_inputs(phases), &format!("relative.trees[{index}]"))?;
     }
     if file.training_distributions.is_empty() {
-        return refuse("relative.novelty", "is empty");
+        return Err(ModelError::Empty { path: "relative.novelty".into() });
     }
     check_distributions(&file.training_distributions, phases, "relative.novelty")?;
     within("relative.largest_load_change", file.largest_load_change, 1e-6, 1e6)?;
@@ -344,9 +315,7 @@ fn check_distributions(ranges: &[TrainingDistribution], phases: usize, path: &st
     let mut before = f64::NEG_INFINITY;
     for (index, range) in ranges.iter().enumerate() {
         let path = |key: &str| format!("{path}[{index}].{key}");
-        if !range.from_y.is_finite() || range.from_y <= before {
-            return refuse(path("from_y"), format!("is {}; it must ascend", range.from_y));
-        }
+        check_ascends(&path("from_y"), before, range.from_y)?;
         before = range.from_y;
         has_length(&path("mean"), &range.mean, phases)?;
         has_length(&path("whitening"), &range.whitening, phases * (phases + 1) / 2)?;

@@ -1,7 +1,10 @@
 //! Evaluation of the trees.
 
+use alloc::format;
 use alloc::vec::Vec;
 
+use crate::check::check_tree;
+use crate::error::ModelError;
 use crate::schema::{Calibration, Transform, Tree};
 
 /// A node in 16 bytes.
@@ -34,14 +37,12 @@ impl Node {
     }
 }
 
-/// The trees, their calibration and transform. Built from checked parts only.
+/// Regression trees whose mean is the prediction.
 #[derive(Debug, Clone)]
 pub struct Ensemble {
     nodes: Vec<Node>,
     /// Root and depth of each tree.
     roots: Vec<(u32, u32)>,
-    transform: Transform,
-    calibration: Calibration,
 }
 
 /// An estimate of the target, in its unit.
@@ -61,9 +62,22 @@ pub struct Estimate {
 const ABREAST: usize = 8;
 
 impl Ensemble {
-    /// Builds an ensemble of trees that have been checked, as [`Model`](crate::Model) does; of others it may give nonsense,
-    /// and panics where an index leads out of its tree.
-    pub fn from_checked(trees: &[Tree], transform: Transform, calibration: Calibration) -> Self {
+    /// An ensemble of trees over so many features.
+    ///
+    /// # Errors
+    /// [`ModelError`] for a list of nodes that is no tree in preorder; no trees at all are an [`ModelError::Empty`].
+    pub fn new(trees: &[Tree], features: usize) -> Result<Self, ModelError> {
+        if trees.is_empty() {
+            return Err(ModelError::Empty { path: "trees".into() });
+        }
+        for (index, tree) in trees.iter().enumerate() {
+            check_tree(tree, features, &format!("trees[{index}]"))?;
+        }
+        Ok(Self::from_checked(trees))
+    }
+
+    /// The same of trees that have been checked.
+    pub(crate) fn from_checked(trees: &[Tree]) -> Self {
         let mut nodes = Vec::with_capacity(trees.iter().map(|tree| tree.feature.len()).sum());
         let mut roots = Vec::with_capacity(trees.len());
         for tree in trees {
@@ -87,7 +101,7 @@ impl Ensemble {
             }
             roots.push((root, depth.iter().copied().max().unwrap_or(0)));
         }
-        Ensemble { nodes, roots, transform, calibration }
+        Ensemble { nodes, roots }
     }
 
     /// Number of trees.
@@ -100,19 +114,7 @@ impl Ensemble {
         self.nodes.len()
     }
 
-    /// Estimates the target; `features` in the model's order, `noise` the standard deviation of the command's where it is known.
-    /// A missing or non-finite feature counts as 0, which callers rule out.
-    pub fn estimate_at(&self, features: &[f64], noise: Option<f64>) -> Estimate {
-        let (mean, spread) = self.vote(features);
-        Estimate::around(mean, spread, noise, self.transform, &self.calibration)
-    }
-
-    /// The same for a command whose noise is not known.
-    pub fn estimate(&self, features: &[f64]) -> Estimate {
-        self.estimate_at(features, None)
-    }
-
-    /// Mean and standard deviation of the trees, in the transformed target.
+    /// Mean and standard deviation over the trees' predictions, in the transformed target; a feature that is missing counts as 0.
     pub fn vote(&self, features: &[f64]) -> (f64, f64) {
         let (mut sum, mut squares) = (0.0, 0.0);
         let mut pivot = None;

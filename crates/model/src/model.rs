@@ -7,11 +7,12 @@ use alloc::vec::Vec;
 use seepd_features::{CycleReader, Feature, Kalman, Phase, PistonAreas, Projections, ReaderError};
 
 use crate::attribution::Attribution;
-use crate::check::{self, ModelError};
+use crate::check;
 use crate::ensemble::{Ensemble, Estimate};
+use crate::error::ModelError;
 use crate::out_of_distribution::OutOfDistribution;
 use crate::relative::Relative;
-use crate::schema::{Filter, Golden, ModelFile, ProjectionFile};
+use crate::schema::{Filter, ModelFile, ProjectionFile};
 
 /// Relative difference that a golden output may show: the platforms' arithmetic is the same, text is not kept
 /// beyond 17 digits.
@@ -48,7 +49,7 @@ impl Model {
         let features = file.features.iter().filter_map(|name| check::feature(&file, name)).collect();
         let phases = file.cycle.phase_list();
         let projections = ProjectionFile::values(&file.projections);
-        let ensemble = Ensemble::from_checked(&file.trees, file.transform, file.calibration.clone());
+        let ensemble = Ensemble::from_checked(&file.trees);
         let mut model = Model { file, features, phases, projections, ensemble, relative: None };
         model.check_golden()?;
         // The trees live on in the ensemble.
@@ -59,26 +60,13 @@ impl Model {
 
     fn check_golden(&self) -> Result<(), ModelError> {
         for (index, golden) in self.file.golden.iter().enumerate() {
-            self.check_pair(golden)
-                .map_err(|message| ModelError { path: format!("golden[{index}]"), message })?;
+            let path = format!("golden[{index}]");
+            check::check_length(&format!("{path}.features"), golden.features.len(), self.features.len())?;
+            let given = self.estimate(&golden.features);
+            agree(&path, [(golden.estimate, given.value)])?;
+            agree(&path, golden.interval.into_iter().zip(given.interval))?;
         }
         Ok(())
-    }
-
-    fn check_pair(&self, golden: &Golden) -> Result<(), String> {
-        if golden.features.len() != self.features.len() {
-            return Err(format!(
-                "has {} features; the model has {}",
-                golden.features.len(),
-                self.features.len()
-            ));
-        }
-        let given = self.estimate(&golden.features);
-        agree([
-            (golden.estimate, given.value),
-            (golden.interval[0], given.interval[0]),
-            (golden.interval[1], given.interval[1]),
-        ])
     }
 
     /// The file without its trees.
@@ -98,12 +86,17 @@ impl Model {
 
     /// Estimates the leak area, m², from a cycle's features in the model's order.
     pub fn estimate(&self, features: &[f64]) -> Estimate {
-        self.ensemble.estimate(features)
+        self.estimated(features, None)
     }
 
     /// The same with an interval for a command with that standard deviation of noise.
     pub fn estimate_at(&self, features: &[f64], noise: f64) -> Estimate {
-        self.ensemble.estimate_at(features, Some(noise))
+        self.estimated(features, Some(noise))
+    }
+
+    fn estimated(&self, features: &[f64], noise: Option<f64>) -> Estimate {
+        let (mean, spread) = self.ensemble.vote(features);
+        Estimate::around(mean, spread, noise, self.file.transform, &self.file.calibration)
     }
 
     /// What each feature contributes to estimates; kept beside the model by those who ask.
@@ -157,15 +150,13 @@ impl Model {
     }
 }
 
-/// Whether outputs are as the file expects them.
-pub(crate) fn agree(pairs: impl IntoIterator<Item = (f64, f64)>) -> Result<(), String> {
+/// Checks that outputs are as the file expects them: pairs of the file's and the model's own.
+pub(crate) fn agree(path: &str, pairs: impl IntoIterator<Item = (f64, f64)>) -> Result<(), ModelError> {
     for (expected, given) in pairs {
         let scale = libm::fabs(expected).max(1e-12);
         let agrees = libm::fabs(expected - given) <= GOLDEN_TOLERANCE * scale;
         if !agrees {
-            return Err(format!(
-                "expects {expected:e}, the model gives {given:e}: the file was altered or is damaged"
-            ));
+            return Err(ModelError::Golden { path: path.into(), expected, given });
         }
     }
     Ok(())

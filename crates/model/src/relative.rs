@@ -2,13 +2,13 @@
 //! baseline cancels; see [`RelativeFile`] for the formulas.
 
 use alloc::format;
-use alloc::string::String;
 use alloc::vec::Vec;
 
 use seepd_features::segment::MAX_PHASES;
 
-use crate::check::ModelError;
+use crate::check::{check_length, check_relative};
 use crate::ensemble::{Ensemble, Estimate};
+use crate::error::ModelError;
 use crate::model::agree;
 use crate::out_of_distribution::OutOfDistribution;
 use crate::schema::{DeadbandFile, KindFile, RelativeFile, RelativeGolden, Transform, ViewFile};
@@ -64,29 +64,24 @@ impl Relative {
     /// # Errors
     /// [`ModelError`] as of a whole model.
     pub fn from_file(file: RelativeFile) -> Result<Self, ModelError> {
-        crate::check::check_relative(&file, file.baseline_mean.len().min(MAX_PHASES))?;
+        check_relative(&file, file.baseline_mean.len().min(MAX_PHASES))?;
         Self::from_checked(file)
     }
 
     /// From a file whose structure has been checked.
     pub(crate) fn from_checked(mut file: RelativeFile) -> Result<Self, ModelError> {
-        // The file's own trees keep no calibration: the views have theirs.
-        let ensemble =
-            Ensemble::from_checked(&file.trees, Transform::Identity, file.command.plain.calibration.clone());
+        let ensemble = Ensemble::from_checked(&file.trees);
         file.trees = Vec::new();
         let relative = Relative { file, ensemble };
         for (index, golden) in relative.file.golden.iter().enumerate() {
-            relative
-                .check_golden(golden)
-                .map_err(|message| ModelError { path: format!("relative.golden[{index}]"), message })?;
+            relative.check_golden(golden, &format!("relative.golden[{index}]"))?;
         }
         Ok(relative)
     }
 
-    fn check_golden(&self, golden: &RelativeGolden) -> Result<(), String> {
-        let phases = self.phases();
-        if golden.baseline.len() != phases || golden.present.len() != phases {
-            return Err(format!("baseline and present must have {phases} values, one a phase"));
+    fn check_golden(&self, golden: &RelativeGolden, path: &str) -> Result<(), ModelError> {
+        for (key, values) in [("baseline", &golden.baseline), ("present", &golden.present)] {
+            check_length(&format!("{path}.{key}"), values.len(), self.phases())?;
         }
         let given = self.estimate(&Comparison {
             baseline: &golden.baseline,
@@ -94,12 +89,9 @@ impl Relative {
             load_change: golden.load_change,
             noise: golden.noise,
         });
-        agree([
-            (golden.estimate, given.estimate.value),
-            (golden.interval[0], given.estimate.interval[0]),
-            (golden.interval[1], given.estimate.interval[1]),
-            (golden.leak_residual, given.leak_residual_m2),
-        ])
+        agree(path, [(golden.estimate, given.estimate.value)])?;
+        agree(path, golden.interval.into_iter().zip(given.estimate.interval))?;
+        agree(path, [(golden.leak_residual, given.leak_residual_m2)])
     }
 
     /// The file without its trees.

@@ -76,10 +76,10 @@ pub struct Cycle {
     /// How far the distance between the anchors may be off plan, share of the period.
     pub tolerance: f64,
     /// The first and the last stroke, by whose shape cycles are found.
-    pub anchors: [AnchorFile; 2],
+    pub anchors: [Anchor<Vec<f32>>; 2],
     /// Where the demand tells the start of a cycle.
     #[serde(default)]
-    pub demand_mark: Option<DemandMarkFile>,
+    pub demand_mark: Option<DemandMark>,
     /// Parts of the cycle.
     pub phases: Vec<PhaseFile>,
 }
@@ -87,13 +87,9 @@ pub struct Cycle {
 impl Cycle {
     /// The phases as the reader wants them.
     pub fn phase_list(&self) -> Vec<Phase> {
-        let kind = |kind| match kind {
-            PhaseKindFile::Stroke => PhaseKind::Stroke,
-            PhaseKindFile::Hold => PhaseKind::Hold,
-        };
         self.phases
             .iter()
-            .map(|phase| Phase { from_s: phase.from_s, to_s: phase.to_s, kind: kind(phase.kind) })
+            .map(|phase| Phase { from_s: phase.from_s, to_s: phase.to_s, kind: phase.kind })
             .collect()
     }
 
@@ -104,57 +100,18 @@ impl Cycle {
         phases: &'m [Phase],
         projections: Projections<'m>,
     ) -> CycleDefinition<'m> {
-        let anchor = |anchor: &'m AnchorFile| Anchor {
-            template: &anchor.template,
-            end_s: anchor.end_s,
-            least_correlation: anchor.least_correlation,
-            sure_correlation: anchor.sure_correlation,
-            least_deviation: anchor.least_deviation,
-        };
         let [first, last] = &self.anchors;
         CycleDefinition {
             sample_rate_hz,
             period_s: self.period_s,
             bin_samples: self.bin_samples,
-            anchors: [anchor(first), anchor(last)],
-            demand_mark: self.demand_mark.as_ref().map(|mark| DemandMark {
-                level_m: mark.level_m,
-                at_s: mark.at_s,
-                rising: mark.rising,
-            }),
+            anchors: [first.borrowed(), last.borrowed()],
+            demand_mark: self.demand_mark,
             tolerance: self.tolerance,
             phases,
             projections,
         }
     }
-}
-
-/// A stroke by whose shape cycles are found.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct AnchorFile {
-    /// Time in the cycle at which the template ends, s.
-    pub end_s: f64,
-    /// Least normalised correlation.
-    pub least_correlation: f64,
-    /// Normalised correlation that no other part of a cycle reaches.
-    pub sure_correlation: f64,
-    /// Least standard deviation of the command over the stroke.
-    pub least_deviation: f64,
-    /// Shape in bins, mean 0 and sum of squares 1.
-    pub template: Vec<f32>,
-}
-
-/// A crossing of the demand that tells where cycles begin.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct DemandMarkFile {
-    /// Level, m.
-    pub level_m: f64,
-    /// Time in the cycle, s.
-    pub at_s: f64,
-    /// Upwards, or downwards.
-    pub rising: bool,
 }
 
 /// A part of the cycle.
@@ -168,17 +125,7 @@ pub struct PhaseFile {
     /// End in the cycle, s.
     pub to_s: f64,
     /// Moving or standing.
-    pub kind: PhaseKindFile,
-}
-
-/// Whether the demand moves.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum PhaseKindFile {
-    /// It moves.
-    Stroke,
-    /// It stands.
-    Hold,
+    pub kind: PhaseKind,
 }
 
 /// A direction in the space of the cycle's bins.

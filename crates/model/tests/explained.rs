@@ -1,19 +1,8 @@
 //! Contributions and out-of-distribution scores in closed form.
 
 use seepd_model::out_of_distribution::distance;
-use seepd_model::schema::{Calibration, TrainingDistribution, Transform, Tree};
+use seepd_model::schema::{TrainingDistribution, Tree};
 use seepd_model::{Attribution, Ensemble, OutOfDistribution};
-
-fn ensemble(trees: &[Tree]) -> Ensemble {
-    let calibration = Calibration {
-        level: 0.9,
-        spread_floor: 0.0,
-        factors: vec![(0.0, 1.0)],
-        by_noise: Vec::new(),
-        healthy_limit: 0.0,
-    };
-    Ensemble::from_checked(trees, Transform::Identity, calibration)
-}
 
 /// x0 ≤ 0.5: 1, else x1 ≤ 0.5: 2, else 6. The expectations are 3 at the root and 4 on the right.
 fn tree() -> Tree {
@@ -23,7 +12,7 @@ fn tree() -> Tree {
 #[test]
 fn contributions_are_the_steps_of_the_expectation() {
     let stump = Tree { feature: vec![-1], value: vec![5.0], right: vec![0] };
-    let ensemble = ensemble(&[tree(), stump]);
+    let ensemble = Ensemble::new(&[tree(), stump], 3).unwrap();
     let attribution = Attribution::new(&ensemble);
     let mut contributions = [f64::NAN; 3];
     for (features, expected) in [

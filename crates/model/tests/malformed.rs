@@ -5,7 +5,7 @@
 use std::sync::LazyLock;
 
 use proptest::prelude::*;
-use seepd_model::{Model, ModelFile};
+use seepd_model::{Model, ModelError, ModelFile};
 use serde_json::Value;
 
 const JSON: &[u8] = include_bytes!("../../daemon/assets/model.json");
@@ -18,15 +18,15 @@ static SMALL: LazyLock<Value> = LazyLock::new(|| {
     file
 });
 
-fn load(file: &Value) -> Result<Model, String> {
-    Model::from_json(&serde_json::to_vec(file).unwrap()).map_err(|error| error.to_string())
+fn load(file: &Value) -> Result<Model, ModelError> {
+    Model::from_json(&serde_json::to_vec(file).unwrap())
 }
 
 /// What loading says after a change.
 fn refusal(change: impl Fn(&mut Value)) -> String {
     let mut file = SMALL.clone();
     change(&mut file);
-    load(&file).expect_err("the change must be refused")
+    load(&file).expect_err("the change must be refused").to_string()
 }
 
 #[test]
@@ -86,7 +86,7 @@ fn arrays_of_other_lengths_are_refused() {
     let text = refusal(|file| {
         file["projections"][1]["loading"].as_array_mut().unwrap().pop();
     });
-    assert_eq!(text, "model: projections[1].loading: has 199 values; the cycle has 200 bins");
+    assert_eq!(text, "model: projections[1].loading: has 199 values; it must have 200");
     assert_eq!(refusal(|file| file["trees"] = Value::Array(vec![])), "model: trees: is empty");
 }
 
@@ -114,8 +114,9 @@ fn altered_trees_fail_the_golden_pairs() {
     let mut file: Value = serde_json::from_slice(JSON).unwrap();
     let trees = file["trees"].as_array_mut().unwrap();
     trees.pop();
-    let text = load(&file).unwrap_err();
-    assert!(text.starts_with("model: golden[0]: expects "), "{text}");
+    let error = load(&file).unwrap_err();
+    assert!(matches!(&error, ModelError::Golden { path, .. } if path == "golden[0]"), "{error}");
+    assert!(error.to_string().starts_with("model: golden[0]: expects "), "{error}");
 }
 
 #[test]

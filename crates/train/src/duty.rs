@@ -1,7 +1,8 @@
 //! What the monitor must know of a duty cycle, derived from the machine's own plan.
 
 use seepd_features::segment::MAX_PHASES;
-use seepd_model::schema::{AnchorFile, Cycle, DemandMarkFile, PhaseFile, PhaseKindFile};
+use seepd_features::{Anchor, DemandMark, PhaseKind};
+use seepd_model::schema::{Cycle, PhaseFile};
 use seepd_sim::MachineSpec;
 use seepd_sim::cycle::Move;
 
@@ -22,7 +23,7 @@ pub(crate) fn cycle_of(spec: &MachineSpec) -> Result<Cycle, TrainError> {
     let cycle = &spec.cycle;
     let samples = cycle.period_s / spec.controller.period_s;
     let [first, last] = anchoring_moves(spec)?;
-    let anchor = |index: usize| AnchorFile {
+    let anchor = |index: usize| Anchor {
         end_s: cycle.moves[index].to_s + SHOULDER_SHARE * cycle.period_s,
         least_correlation: 0.0,
         sure_correlation: 1.0,
@@ -71,9 +72,9 @@ fn anchoring_moves(spec: &MachineSpec) -> Result<[usize; 2], TrainError> {
     }
 }
 
-fn demand_mark(spec: &MachineSpec, first: &Move) -> DemandMarkFile {
+fn demand_mark(spec: &MachineSpec, first: &Move) -> DemandMark {
     let before = spec.cycle.demand_m(first.from_s);
-    DemandMarkFile {
+    DemandMark {
         level_m: 0.5 * (before + first.to_m),
         // A quintic passes half of its way at half of its time.
         at_s: 0.5 * (first.from_s + first.to_s),
@@ -96,7 +97,7 @@ fn phases_of(spec: &MachineSpec) -> Vec<PhaseFile> {
                 name: format!("hold_{holds}"),
                 from_s: edge[0],
                 to_s: edge[1],
-                kind: PhaseKindFile::Hold,
+                kind: PhaseKind::Hold,
             });
         }
     };
@@ -107,7 +108,7 @@ fn phases_of(spec: &MachineSpec) -> Vec<PhaseFile> {
             name: stroke.name.clone(),
             from_s: stroke.from_s,
             to_s: stroke.to_s,
-            kind: PhaseKindFile::Stroke,
+            kind: PhaseKind::Stroke,
         });
         time = stroke.to_s;
     }

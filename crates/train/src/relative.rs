@@ -10,8 +10,7 @@ use seepd_model::relative::{
     Comparison, DRIFT_ALLOWANCE, Inputs, MAX_CHANGES, centred, half_width, log_leak_residual, standardised,
 };
 use seepd_model::schema::{
-    DeadbandFile, DetectionFile, KindFile, RelativeFile, RelativeGolden, TrainingDistribution, Transform,
-    Tree, ViewFile,
+    DeadbandFile, DetectionFile, KindFile, RelativeFile, RelativeGolden, TrainingDistribution, Tree, ViewFile,
 };
 use seepd_model::{Ensemble, ModelError, ModelFile};
 use seepd_sim::noise::Noise;
@@ -382,39 +381,22 @@ pub struct RelativeAccuracy {
     pub out_of_distribution: f64,
 }
 
-/// What is learned before it is calibrated.
-struct Learned {
+/// The polynomials of the leak residual.
+struct ResidualFit {
     baseline_mean: Vec<f64>,
     baseline_scale: Vec<f64>,
-    deadband: DeadbandFile,
     /// Coefficients with the command alone, and with the load too.
-    residual_coefficients: [Vec<f64>; 2],
-    trees: Vec<Tree>,
-    ensemble: Ensemble,
+    coefficients: [Vec<f64>; 2],
 }
 
-impl Learned {
-    fn from(pairs: &[Pair], seed: u64) -> Option<Self> {
+impl ResidualFit {
+    fn of(pairs: &[Pair]) -> Option<Self> {
         let (baseline_mean, baseline_scale) = spread_of_baselines(pairs);
-        let mut residual_coefficients = [Vec::new(), Vec::new()];
-        for (knows_load, coefficients) in [false, true].into_iter().zip(&mut residual_coefficients) {
+        let mut coefficients = [Vec::new(), Vec::new()];
+        for (knows_load, coefficients) in [false, true].into_iter().zip(&mut coefficients) {
             *coefficients = fit_leak_residual(pairs, &baseline_mean, &baseline_scale, knows_load)?;
         }
-        let deadband = fit_deadband(pairs, &baseline_mean, &baseline_scale)?;
-        let mut learned = Learned {
-            baseline_mean,
-            baseline_scale,
-            deadband,
-            residual_coefficients,
-            trees: Vec::new(),
-            ensemble: Ensemble::from_checked(
-                &[],
-                Transform::Identity,
-                conformal::calibration(&[], std::iter::empty()),
-            ),
-        };
-        learned.grow(pairs, seed);
-        Some(learned)
+        Some(ResidualFit { baseline_mean, baseline_scale, coefficients })
     }
 
     fn inputs(&self, comparison: &Comparison<'_>) -> Inputs {
@@ -422,12 +404,12 @@ impl Learned {
     }
 
     fn leak_residual_m2(&self, comparison: &Comparison<'_>) -> f64 {
-        let coefficients = &self.residual_coefficients[usize::from(comparison.load_change.is_some())];
+        let coefficients = &self.coefficients[usize::from(comparison.load_change.is_some())];
         self.inputs(comparison).leak_residual(coefficients, &mut [0.0; MAX_CHANGES])
     }
 
     /// Trees on both views of all pairs: the correction is about the same.
-    fn grow(&mut self, pairs: &[Pair], seed: u64) {
+    fn grow(&self, pairs: &[Pair], seed: u64) -> Forest {
         let phases = self.baseline_mean.len();
         let mut table = Table { columns: vec![Vec::new(); Inputs::tree_inputs(phases)], target: Vec::new() };
         for knows_load in [false, true] {
@@ -441,19 +423,31 @@ impl Learned {
                 table.target.push(libm::log(pair.leak_area_m2 + OFFSET_M2) - logarithm);
             }
         }
-        let forest = Forest::grow(&table, FOREST_PARAMS, seed);
-        self.ensemble = Ensemble::from_checked(
-            &forest.trees,
-            Transform::Identity,
-            conformal::calibration(&[], std::iter::empty()),
-        );
-        self.trees = forest.trees;
+        Forest::grow(&table, FOREST_PARAMS, seed)
+    }
+}
+
+/// What is learned before it is calibrated.
+struct Learned {
+    residual: ResidualFit,
+    deadband: DeadbandFile,
+    trees: Vec<Tree>,
+    ensemble: Ensemble,
+}
+
+impl Learned {
+    fn from(pairs: &[Pair], seed: u64) -> Option<Self> {
+        let residual = ResidualFit::of(pairs)?;
+        let deadband = fit_deadband(pairs, &residual.baseline_mean, &residual.baseline_scale)?;
+        let trees = residual.grow(pairs, seed).trees;
+        let ensemble = Ensemble::new(&trees, Inputs::tree_inputs(residual.baseline_mean.len())).ok()?;
+        Some(Learned { residual, deadband, trees, ensemble })
     }
 
     fn predict(&self, pair: &Pair, level: usize, knows_load: bool) -> Prediction {
         let comparison = pair.comparison(level, knows_load);
-        let logarithm = log_leak_residual(self.leak_residual_m2(&comparison), OFFSET_M2);
-        let (mean, spread) = self.ensemble.vote(&self.inputs(&comparison).of_trees(logarithm));
+        let logarithm = log_leak_residual(self.residual.leak_residual_m2(&comparison), OFFSET_M2);
+        let (mean, spread) = self.ensemble.vote(&self.residual.inputs(&comparison).of_trees(logarithm));
         let truth = libm::log(pair.leak_area_m2 + OFFSET_M2);
         Prediction { truth, mean: logarithm + mean, spread }
     }
@@ -466,7 +460,7 @@ impl Learned {
         let kind = |pairs: Vec<&Pair>| {
             self.kind(if pairs.len() < LEAST_OF_A_KIND { &all } else { &pairs }, knows_load)
         };
-        let leak_residual = self.residual_coefficients[usize::from(knows_load)].clone();
+        let leak_residual = self.residual.coefficients[usize::from(knows_load)].clone();
         ViewFile { leak_residual, plain: kind(plain), deadband: kind(others) }
     }
 
@@ -486,14 +480,17 @@ impl Learned {
         });
         let calibration = conformal::calibration(&by_noise, estimates);
         let residuals =
-            healthy().map(|pair| self.leak_residual_m2(&pair.comparison(QUIET, knows_load)).abs());
+            healthy().map(|pair| self.residual.leak_residual_m2(&pair.comparison(QUIET, knows_load)).abs());
         KindFile { calibration, reference_m2: significant(residuals.fold(0.0, f64::max)) }
     }
 
     /// Half width of the dead band that the pair's baseline shows.
     fn half_width(&self, pair: &Pair, level: usize) -> f64 {
         let baseline = &pair.readings[level].baseline;
-        half_width(&self.deadband, &standardised(baseline, &self.baseline_mean, &self.baseline_scale))
+        half_width(
+            &self.deadband,
+            &standardised(baseline, &self.residual.baseline_mean, &self.residual.baseline_scale),
+        )
     }
 
     /// Sets the limit above which a baseline shows a dead band, from machines without one.
@@ -649,8 +646,8 @@ pub(crate) fn learn(
             cycles_between_false_alarms: significant(cycles_between_false_alarms(THRESHOLD, DRIFT_ALLOWANCE)),
         },
         piston_areas_m2: [spec.plant.cap_area_m2, spec.plant.annulus_area_m2],
-        baseline_mean: learned.baseline_mean,
-        baseline_scale: learned.baseline_scale,
+        baseline_mean: learned.residual.baseline_mean,
+        baseline_scale: learned.residual.baseline_scale,
         deadband: learned.deadband,
         trees: learned.trees,
         golden: Vec::new(),

@@ -207,7 +207,7 @@ pub fn train(
     )?;
     let forest = Forest::grow(&table, found.params, settings.seed);
     let (calibration, training_distributions) =
-        calibrate(spec, settings, &reading, &features, &learned, &forest, transform);
+        calibrate(spec, settings, &reading, &features, &learned, &forest, transform)?;
     let relative =
         relative::learn(spec, settings, &reading, &mut |done, all| tell(Stage::Compare, done, all))
             .ok_or(TrainError::Comparison { simulated: settings.relative_machines })?;
@@ -539,7 +539,7 @@ fn calibrate(
     learned: &[Case],
     forest: &Forest,
     transform: Transform,
-) -> (Calibration, Vec<TrainingDistribution>) {
+) -> Result<(Calibration, Vec<TrainingDistribution>), TrainError> {
     let levels = &relative::CALIBRATED_NOISE;
     let observations =
         dataset::draw(spec, settings.spread, settings.calibrated_on, settings.seed, purpose::CALIBRATE);
@@ -556,8 +556,7 @@ fn calibrate(
         observation.leak_area_m2 = dataset::leak_beyond(index as f64 / count as f64);
     }
     let beyond = read(&beyond);
-    let uncalibrated = conformal::calibration(&[], std::iter::empty());
-    let ensemble = Ensemble::from_checked(&forest.trees, transform, uncalibrated);
+    let ensemble = Ensemble::new(&forest.trees, features.names.len()).map_err(TrainError::Model)?;
     let predict = |level: usize, is_wanted: &dyn Fn(f64) -> bool| -> Vec<Prediction> {
         let cases = observations.iter().zip(&readings).filter(|(case, _)| is_wanted(case.leak_area_m2));
         cases
@@ -574,7 +573,7 @@ fn calibrate(
         .collect();
     let healthy = (0..levels.len()).flat_map(|level| predict(level, &|area| area == 0.0));
     let calibration = conformal::calibration(&by_noise, healthy.map(|one| transform.back(one.mean).max(0.0)));
-    (calibration, describe_cycles(&ensemble, features, learned, &readings, &beyond))
+    Ok((calibration, describe_cycles(&ensemble, features, learned, &readings, &beyond)))
 }
 
 /// What cycles look like: learned from the model's own machines and half of those with leaks beyond, limits from the others.
