@@ -20,6 +20,6 @@ pub mod simulate;
 pub mod simulated_axis;
 
 pub use diagnosis::{DiagnosisSettings, cannot_tell, diagnose, nominal_gap};
-pub use record::{Log, Record, RecordError};
+pub use record::{Log, Mismatch, Record, RecordError, Shortage};
 pub use report::Diagnosis;
 pub use simulated_axis::SimulatedAxis;

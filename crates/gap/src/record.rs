@@ -41,6 +41,7 @@ impl Log {
 
 /// Why a log cannot be diagnosed.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum RecordError {
     /// A signal is missing.
     #[error("the log has no {0}; a diagnosis needs command and position")]
@@ -53,24 +54,77 @@ pub enum RecordError {
     Units {
         /// Signal.
         signal: &'static str,
-        /// Largest magnitude.
+        /// Largest magnitude, in `unit`.
         largest: f64,
         /// SI unit.
         unit: &'static str,
-        /// What it seems to be.
+        /// What it seems to be, and what to do.
         advice: &'static str,
     },
-    /// The position does not follow the demand.
-    #[error("{0}")]
-    Mismatch(String),
+    /// The signals do not belong to this machine, or not to each other.
+    #[error(transparent)]
+    Mismatch(#[from] Mismatch),
     /// Too few cycles.
-    #[error("{found} usable cycles ({reasons}); at least {LEAST_CYCLES} are needed")]
+    #[error("{found} usable cycles ({shortage}); at least {LEAST_CYCLES} are needed")]
     TooFew {
         /// Usable ones.
         found: usize,
-        /// Why others are not.
-        reasons: String,
+        /// Why there are no more.
+        shortage: Shortage,
     },
+}
+
+/// How signals do not belong together.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Mismatch {
+    /// They do not follow the plant file's duty cycle.
+    #[error(
+        "{signals} and the plant file's duty cycle do not match (correlation {correlation:.2}); is it the right plant file?"
+    )]
+    DutyCycle {
+        /// Signals by which the cycle was looked for.
+        signals: &'static str,
+        /// Best correlation with the plan, −1 … 1.
+        correlation: f64,
+    },
+    /// Too few cycles are alike.
+    #[error("the cycles differ in kind: too few of them are alike")]
+    CyclesDiffer,
+    /// Something that cannot be on such an axis, in a sentence of [`SimulatedAxis::contradiction`].
+    #[error("{0}")]
+    Contradiction(String),
+    /// The position does not follow the demand.
+    #[error(
+        "the position does not follow the demand (correlation {correlation:.2}); are they of the same axis?"
+    )]
+    DoesNotFollow {
+        /// Best correlation of both, −1 … 1.
+        correlation: f64,
+    },
+    /// The position runs ahead of the demand.
+    #[error(
+        "the position runs ahead of the demand: the clocks of their topics are apart; map the messages' own time"
+    )]
+    ClocksApart,
+}
+
+/// Why there are no more cycles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Shortage {
+    /// The log ends before a cycle does.
+    #[error("the log is shorter than a cycle")]
+    ShorterThanACycle,
+    /// The log has so few.
+    #[error("the log is short")]
+    Short,
+    /// That many are not whole.
+    #[error("{0} cut off or with gaps")]
+    Incomplete(usize),
+    /// That many are of another kind.
+    #[error("{0} are of another kind")]
+    OfAnotherKind(usize),
 }
 
 /// One cycle in bins.
@@ -125,18 +179,15 @@ impl Record {
             notes.push("the log has no load; the plant file's is taken".into());
         }
         if guide.len() < ticks {
-            return Err(RecordError::TooFew { found: 0, reasons: "the log is shorter than a cycle".into() });
+            return Err(RecordError::TooFew { found: 0, shortage: Shortage::ShorterThanACycle });
         }
         let (starts, best) = starts(guide, &plan);
         if best < LEAST_CORRELATION {
-            return Err(RecordError::Mismatch(format!(
-                "{} and the plant file's duty cycle do not match (correlation {best:.2}); is it the right plant file?",
-                if log.get(Signal::Demand).is_some() {
-                    "the log's demand"
-                } else {
-                    "the log's command and position"
-                }
-            )));
+            let signals = match log.get(Signal::Demand) {
+                Some(_) => "the log's demand",
+                None => "the log's command and position",
+            };
+            return Err(Mismatch::DutyCycle { signals, correlation: best }.into());
         }
         let signals: Vec<Signal> =
             A::signals().iter().copied().filter(|signal| log.get(*signal).is_some()).collect();
@@ -151,12 +202,8 @@ impl Record {
             notes.push(format!("{incomplete} cycles left out: cut off, or with gaps"));
         }
         if cycles.len() < LEAST_CYCLES {
-            let reasons = if incomplete > 0 {
-                format!("{incomplete} cut off or with gaps")
-            } else {
-                "the log is short".into()
-            };
-            return Err(RecordError::TooFew { found: cycles.len(), reasons });
+            let shortage = if incomplete > 0 { Shortage::Incomplete(incomplete) } else { Shortage::Short };
+            return Err(RecordError::TooFew { found: cycles.len(), shortage });
         }
         if cycles.len() < ENOUGH_CYCLES {
             notes.push(format!("only {} cycles: probabilities and intervals are wide", cycles.len()));
@@ -166,7 +213,7 @@ impl Record {
         if others.len() * 2 > cycles.len() || cycles.len() - others.len() < LEAST_CYCLES {
             // Signals that do not belong together differ from cycle to cycle as well: that is the better answer.
             plausible(&signals, &cycles, spec)?;
-            return Err(RecordError::Mismatch("the cycles differ in kind: too few of them are alike".into()));
+            return Err(Mismatch::CyclesDiffer.into());
         }
         if !others.is_empty() {
             notes.push(format!("{} cycles left out: of another kind than the rest", others.len()));
@@ -177,10 +224,8 @@ impl Record {
             });
         }
         if cycles.len() < LEAST_CYCLES {
-            return Err(RecordError::TooFew {
-                found: cycles.len(),
-                reasons: "the rest is of another kind".into(),
-            });
+            let shortage = Shortage::OfAnotherKind(others.len());
+            return Err(RecordError::TooFew { found: cycles.len(), shortage });
         }
         let range = ranges(&cycles, signals.len());
         let floor = floors(&cycles, &range);
@@ -241,7 +286,7 @@ fn plausible<A: SimulatedAxis>(
     spec: &A,
 ) -> Result<(), RecordError> {
     if let Some(what) = spec.contradiction(signals, &cycles[0]) {
-        return Err(RecordError::Mismatch(what));
+        return Err(Mismatch::Contradiction(what).into());
     }
     let Some(x) = bins_of(signals, Signal::Position, &cycles[0].bins) else { return Ok(()) };
     let ticks = cycles[0].drive.len();
@@ -253,15 +298,11 @@ fn plausible<A: SimulatedAxis>(
     };
     let follows = (0..BINS / 20).map(lagged).fold(f64::NEG_INFINITY, f64::max);
     if follows < LEAST_CORRELATION {
-        let what = format!(
-            "the position does not follow the demand (correlation {follows:.2}); are they of the same axis?"
-        );
-        return Err(RecordError::Mismatch(what));
+        return Err(Mismatch::DoesNotFollow { correlation: follows }.into());
     }
     let early = (1..BINS / 20).map(|lead| lagged(BINS - lead)).fold(f64::NEG_INFINITY, f64::max);
     if early > follows + 1e-3 {
-        let what = "the position runs ahead of the demand: the clocks of their topics are apart; map the messages' own time";
-        return Err(RecordError::Mismatch(what.into()));
+        return Err(Mismatch::ClocksApart.into());
     }
     Ok(())
 }

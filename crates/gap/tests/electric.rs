@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use seepd_gap::report::{Diagnosis, Verdict};
-use seepd_gap::{DiagnosisSettings, Log, Record, RecordError, diagnose};
+use seepd_gap::{DiagnosisSettings, Log, Mismatch, Record, RecordError, diagnose};
 use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
 use seepd_sim::electric::ElectricAxis;
@@ -102,5 +102,8 @@ fn an_inverted_command_is_told() {
     let mut log = log_of(&plan(), 4);
     log.values[Signal::Command as usize].iter_mut().for_each(|value| *value = -*value);
     let error = Record::new(&log, &plan()).unwrap_err();
-    assert!(matches!(&error, RecordError::Mismatch(what) if what.contains("sign is inverted")), "{error}");
+    assert!(
+        matches!(&error, RecordError::Mismatch(Mismatch::Contradiction(what)) if what.contains("sign is inverted")),
+        "{error}"
+    );
 }

@@ -5,19 +5,75 @@
 
 pub mod side_file;
 
+use std::fmt;
+
 use serde::de::DeserializeOwned;
 use toml::Spanned;
 use toml::de::{DeTable, Deserializer};
 
 /// Why a TOML file cannot be read into its structure.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("line {line}: {message}")]
-pub struct FormatError {
-    /// Line, from 1.
-    pub line: usize,
-    /// What is wrong, with the nearest known key where a key is unknown.
-    pub message: String,
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum FormatError {
+    /// A key that the structure does not have.
+    #[error("line {line}: {unknown}")]
+    UnknownKey {
+        /// Line, from 1.
+        line: usize,
+        /// The key, with those that there are.
+        #[source]
+        unknown: UnknownKey,
+    },
+    /// Not TOML, a value of the wrong type, or a key that is missing.
+    #[error("line {line}: {message}")]
+    Toml {
+        /// Line, from 1.
+        line: usize,
+        /// What the parser says, in one line.
+        message: String,
+    },
 }
+
+impl FormatError {
+    /// The line of the error, from 1.
+    pub fn line(&self) -> usize {
+        match self {
+            FormatError::UnknownKey { line, .. } | FormatError::Toml { line, .. } => *line,
+        }
+    }
+}
+
+/// A key that does not exist: "unknown key `a`; did you mean `b`?", or the list of all where nothing is near.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UnknownKey {
+    /// The key as it was written.
+    pub key: String,
+    /// Those that exist.
+    pub known: Vec<String>,
+}
+
+impl UnknownKey {
+    /// That key, beside those that exist.
+    pub fn new(key: &str, known: &[&str]) -> Self {
+        UnknownKey { key: key.to_owned(), known: known.iter().map(|name| (*name).to_owned()).collect() }
+    }
+
+    /// The known key that it is most like, if it is like one.
+    pub fn nearest(&self) -> Option<&str> {
+        nearest(&self.key, self.known.iter().map(String::as_str))
+    }
+}
+
+impl fmt::Display for UnknownKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.nearest() {
+            Some(name) => write!(f, "unknown key `{}`; did you mean `{name}`?", self.key),
+            None => write!(f, "unknown key `{}`; known are {}", self.key, self.known.join(", ")),
+        }
+    }
+}
+
+impl std::error::Error for UnknownKey {}
 
 /// Reads a TOML text; an unknown key is answered with the nearest known one.
 ///
@@ -69,30 +125,25 @@ impl TomlParts<'_> {
 }
 
 impl FormatError {
-    /// The error in one line; an unknown key may be meant for one of the `others` too.
+    /// The error with its line; an unknown key may be meant for one of the `others` too.
     fn new(text: &str, error: &toml::de::Error, others: &[&str]) -> Self {
         let at = error.span().map_or(0, |span| span.start.min(text.len()));
         let line = 1 + text.as_bytes()[..at].iter().filter(|byte| **byte == b'\n').count();
-        FormatError { line, message: with_nearest_key(error.message(), others) }
+        match unknown_field(error.message(), others) {
+            Some(unknown) => FormatError::UnknownKey { line, unknown },
+            None => FormatError::Toml {
+                line,
+                message: error.message().lines().next().unwrap_or_default().to_owned(),
+            },
+        }
     }
 }
 
-/// Shortens serde's "unknown field `a`, expected one of `b`, `c`, …" to the nearest name.
-fn with_nearest_key(message: &str, others: &[&str]) -> String {
-    let Some((unknown, rest)) = message.strip_prefix("unknown field `").and_then(|rest| rest.split_once('`'))
-    else {
-        return message.lines().next().unwrap_or_default().to_owned();
-    };
+/// The key of serde's "unknown field `a`, expected one of `b`, `c`, …", beside these and the `others`.
+fn unknown_field(message: &str, others: &[&str]) -> Option<UnknownKey> {
+    let (unknown, rest) = message.strip_prefix("unknown field `")?.split_once('`')?;
     let known: Vec<&str> = rest.split('`').skip(1).step_by(2).chain(others.iter().copied()).collect();
-    unknown_key(unknown, &known)
-}
-
-/// "unknown key `a`; did you mean `b`?", or the list where nothing is near.
-pub fn unknown_key(unknown: &str, known: &[&str]) -> String {
-    match nearest(unknown, known.iter().copied()) {
-        Some(name) => format!("unknown key `{unknown}`; did you mean `{name}`?"),
-        None => format!("unknown key `{unknown}`; known are {}", known.join(", ")),
-    }
+    Some(UnknownKey::new(unknown, &known))
 }
 
 /// The known name that the unknown one is most like, if it is like one.
@@ -131,7 +182,7 @@ mod tests {
     #[test]
     fn wrong_type_is_told_in_one_line() {
         let error = parse_toml::<Table>("valve_gain = \"much\"\n").unwrap_err();
-        assert_eq!(error.line, 1);
-        assert!(!error.message.contains('\n'));
+        assert_eq!(error.line(), 1);
+        assert!(matches!(&error, FormatError::Toml { message, .. } if !message.contains('\n')), "{error}");
     }
 }

@@ -9,12 +9,12 @@
 
 use std::collections::BTreeMap;
 
-use seepd_settings::{parse_toml, unknown_key};
+use seepd_settings::parse_toml;
 use serde::{Deserialize, Serialize};
 
 use crate::cycle::{DriveSample, DutyCycle};
 use crate::effects::{EffectInfo, Equation, Parameter};
-use crate::spec::SpecError;
+use crate::spec::{SpecError, unknown_name};
 
 /// The machine: the content of a plant file with `kind = "electric_axis"`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -163,10 +163,9 @@ impl ElectricAxis {
     /// The file's text.
     ///
     /// # Errors
-    /// [`SpecError::Structure`] where TOML cannot express a value (none of a checked axis's).
+    /// [`SpecError::Unwritable`] where TOML cannot express a value (none of a checked axis's).
     pub fn to_toml(&self) -> Result<String, SpecError> {
-        toml::to_string_pretty(self)
-            .map_err(|error| SpecError::Structure { line: None, message: error.to_string() })
+        Ok(toml::to_string_pretty(self)?)
     }
 
     /// Whether a plant file is of this kind.
@@ -210,21 +209,23 @@ impl ElectricAxis {
                 expected: expected("it must not be negative"),
             });
         }
-        if self.cycle.moves.is_empty() || self.cycle.period_s < 20.0 * self.controller.period_s {
-            let message = "the duty cycle needs moves, and a period of 20 controller periods or more".into();
-            return Err(SpecError::Structure { line: None, message });
+        if self.cycle.moves.is_empty() {
+            return Err(SpecError::NoMoves);
+        }
+        let (period_s, controller_period_s) = (self.cycle.period_s, self.controller.period_s);
+        if period_s < 20.0 * controller_period_s {
+            return Err(SpecError::ShortCycle { period_s, controller_period_s });
         }
         for (key, values) in &self.effects {
             let known: Vec<&str> = CATALOGUE.iter().map(|info| info.key).collect();
-            let info = CATALOGUE.iter().find(|info| info.key == key).ok_or_else(|| SpecError::Structure {
-                line: None,
-                message: format!("effects: {}", unknown_key(key, &known)),
-            })?;
+            let info = CATALOGUE
+                .iter()
+                .find(|info| info.key == key)
+                .ok_or_else(|| unknown_name("effects".into(), key, &known))?;
             for name in values.keys() {
                 let known: Vec<&str> = info.parameters.iter().map(|parameter| parameter.name).collect();
                 if !known.contains(&name.as_str()) {
-                    let message = format!("effects.{key}: {}", unknown_key(name, &known));
-                    return Err(SpecError::Structure { line: None, message });
+                    return Err(unknown_name(format!("effects.{key}"), name, &known));
                 }
             }
         }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use seepd_settings::{FormatError, parse_toml, unknown_key};
+use seepd_settings::{FormatError, UnknownKey, parse_toml};
 use serde::{Deserialize, Serialize};
 
 use crate::controller::{Controller, Pid};
@@ -35,6 +35,7 @@ pub struct MachineSpec {
 
 /// Why a plant file is refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum SpecError {
     /// Not TOML, a key that does not exist, or a value of the wrong type.
     #[error(transparent)]
@@ -51,14 +52,44 @@ pub enum SpecError {
         /// What it must be.
         expected: String,
     },
-    /// Something that is not about one value.
-    #[error("{}{message}", at_line(*.line))]
-    Structure {
+    /// An effect, a parameter of an effect, or a plant parameter in the bounds that does not exist.
+    #[error("{}{table}: {unknown}", at_line(*.line))]
+    UnknownName {
         /// Line in the file, from 1, where it could be found.
         line: Option<usize>,
-        /// What is wrong and what to do.
-        message: String,
+        /// Table that names it.
+        table: String,
+        /// The name, with those that there are.
+        #[source]
+        unknown: UnknownKey,
     },
+    /// The duty cycle has no moves.
+    #[error("cycle.moves is empty: a machine that never moves has no duty cycle")]
+    NoMoves,
+    /// The duty cycle is shorter than 20 controller periods.
+    #[error(
+        "cycle.period_s is {period_s}; it must be 20 controller periods of {controller_period_s} s or more"
+    )]
+    ShortCycle {
+        /// Period of the cycle, s.
+        period_s: f64,
+        /// Period of the controller, s.
+        controller_period_s: f64,
+    },
+    /// Not an assignment to an effect's parameter.
+    #[error("`{0}` is not of the form effect.parameter=value")]
+    Assignment(String),
+    /// An assignment of something that is no number.
+    #[error("`{value}` in `{assignment}` is not a number")]
+    NotANumber {
+        /// What stands for a number.
+        value: String,
+        /// The whole assignment.
+        assignment: String,
+    },
+    /// TOML cannot express a value.
+    #[error("the plant cannot be written as TOML: {0}")]
+    Unwritable(#[from] toml::ser::Error),
     /// The fixed step is too long for the plant.
     #[error(
         "the plant's fastest eigenvalue, {eigenvalue_per_s:.0} 1/s, is unstable at {steps} RK4 steps per period \
@@ -107,10 +138,9 @@ impl MachineSpec {
     /// The file's text; every value is written out.
     ///
     /// # Errors
-    /// [`SpecError::Structure`] where TOML cannot express a value (none of a checked machine's).
+    /// [`SpecError::Unwritable`] where TOML cannot express a value (none of a checked machine's).
     pub fn to_toml(&self) -> Result<String, SpecError> {
-        toml::to_string_pretty(self)
-            .map_err(|error| SpecError::Structure { line: None, message: error.to_string() })
+        Ok(toml::to_string_pretty(self)?)
     }
 
     /// The effect's parameters in their order; neutral where not given.
@@ -165,15 +195,14 @@ impl MachineSpec {
     /// # Errors
     /// [`SpecError`] naming the nearest known effect or parameter, or the admitted range.
     pub fn set_effect(&mut self, assignment: &str) -> Result<(), SpecError> {
-        let structure = |message| SpecError::Structure { line: None, message };
         let parts = assignment.split_once('=').and_then(|(path, value)| Some((path.split_once('.')?, value)));
         let Some(((effect, parameter), value)) = parts else {
-            return Err(structure(format!("`{assignment}` is not of the form effect.parameter=value")));
+            return Err(SpecError::Assignment(assignment.to_owned()));
         };
-        let value: f64 = value
-            .trim()
-            .parse()
-            .map_err(|_| structure(format!("`{value}` in `{assignment}` is not a number")))?;
+        let value: f64 = value.trim().parse().map_err(|_| SpecError::NotANumber {
+            value: value.to_owned(),
+            assignment: assignment.to_owned(),
+        })?;
         self.effects.entry(effect.trim().into()).or_default().insert(parameter.trim().into(), value);
         self.check_effects()
     }
@@ -207,8 +236,7 @@ impl MachineSpec {
             let Some(info) = PlantParameters::ALL.iter().find(|info| info.key == name || info.symbol == name)
             else {
                 let known: Vec<&str> = PlantParameters::ALL.iter().map(|info| info.key).collect();
-                let message = format!("bounds: {}", unknown_key(name, &known));
-                return Err(SpecError::Structure { line: None, message });
+                return Err(unknown_name("bounds".into(), name, &known));
             };
             in_range(format!("bounds.{name}"), *low, info.minimum, f64::MAX)?;
             in_range(format!("bounds.{name}"), *high, *low, f64::MAX)?;
@@ -242,8 +270,7 @@ impl MachineSpec {
             1e7,
         )?;
         if cycle.moves.is_empty() {
-            let message = "cycle.moves is empty: a machine that never moves has no duty cycle".into();
-            return Err(SpecError::Structure { line: None, message });
+            return Err(SpecError::NoMoves);
         }
         let mut time = 0.0;
         for (index, stroke) in cycle.moves.iter().enumerate() {
@@ -270,17 +297,13 @@ impl MachineSpec {
         for (key, values) in &self.effects {
             let Some(effect) = effects::find(key) else {
                 let known: Vec<&str> = effects::ALL.iter().map(|effect| effect.key()).collect();
-                return Err(SpecError::Structure {
-                    line: None,
-                    message: format!("effects: {}", unknown_key(key, &known)),
-                });
+                return Err(unknown_name("effects".into(), key, &known));
             };
             for (name, value) in values {
                 let parameters = effect.parameters();
                 let Some(parameter) = parameters.iter().find(|parameter| parameter.name == name) else {
                     let known: Vec<&str> = parameters.iter().map(|parameter| parameter.name).collect();
-                    let message = format!("effects.{key}: {}", unknown_key(name, &known));
-                    return Err(SpecError::Structure { line: None, message });
+                    return Err(unknown_name(format!("effects.{key}"), name, &known));
                 };
                 if *value != parameter.neutral {
                     in_range(format!("effects.{key}.{name}"), *value, parameter.range.0, parameter.range.1)?;
@@ -328,10 +351,8 @@ impl SpecError {
     fn located(mut self, text: &str) -> Self {
         match &mut self {
             SpecError::Value { line, key, .. } => *line = line_of(text, key),
-            SpecError::Structure { line, message } => {
-                *line = message.split('`').nth(1).and_then(|key| line_of(text, key));
-            }
-            SpecError::Format(_) | SpecError::UnstableStep { .. } => {}
+            SpecError::UnknownName { line, unknown, .. } => *line = line_of(text, &unknown.key),
+            _ => {}
         }
         self
     }
@@ -344,6 +365,10 @@ fn readable(value: f64) -> String {
 
 fn value_error(key: String, value: f64, expected: String) -> SpecError {
     SpecError::Value { line: None, key, value, expected }
+}
+
+pub(crate) fn unknown_name(table: String, name: &str, known: &[&str]) -> SpecError {
+    SpecError::UnknownName { line: None, table, unknown: UnknownKey::new(name, known) }
 }
 
 fn in_range(key: String, value: f64, low: f64, high: f64) -> Result<(), SpecError> {

@@ -49,6 +49,7 @@ pub struct Study {
 
 /// Why there is no study.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum StudyError {
     /// The model was made for another cycle than the press's.
     #[error("the model does not read the nominal press's cycles: {found} of {simulated} were recognised")]

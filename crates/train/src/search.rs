@@ -23,7 +23,7 @@ pub struct BestForest {
 /// each finished trial.
 ///
 /// # Errors
-/// [`TrainError::Search`] where no trial was admissible.
+/// [`TrainError::NoForest`] where no trial was admissible, [`TrainError::Search`] where the search itself failed.
 pub fn search(
     table: &Table,
     most_nodes: usize,
@@ -31,7 +31,7 @@ pub fn search(
     seed: u64,
     tell: &mut dyn FnMut(usize, usize),
 ) -> Result<BestForest, TrainError> {
-    let failed = |error: optimizer::Error| TrainError::Search(error.to_string());
+    let failed = |error: optimizer::Error| TrainError::Search(error.into());
     let study: Study<f64> =
         Study::with_sampler(Direction::Minimize, TpeSampler::builder().seed(seed).build().map_err(failed)?);
     let learners = IntParam::new(20, 120).name("learners");
@@ -52,7 +52,7 @@ pub fn search(
         }
         tell(trial_number + 1, trials);
     }
-    best.ok_or_else(|| TrainError::Search("no forest within the limit of the file's size was found".into()))
+    best.ok_or(TrainError::NoForest { most_nodes })
 }
 
 /// What an inadmissible choice costs, plus its excess: worse than any admissible one, and with a slope.

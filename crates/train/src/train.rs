@@ -75,6 +75,7 @@ impl Default for TrainingSettings {
 
 /// Why there is no model.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum TrainError {
     /// The duty cycle has no move out and back.
     #[error(
@@ -106,7 +107,13 @@ pub enum TrainError {
     },
     /// The search failed.
     #[error("hyperparameter search: {0}")]
-    Search(String),
+    Search(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// No forest that was tried fits the file's limit.
+    #[error("hyperparameter search: no forest of at most {most_nodes} nodes was found")]
+    NoForest {
+        /// Nodes that the file has room for.
+        most_nodes: usize,
+    },
     /// The finished model does not pass its own checks.
     #[error("the trained model fails its own checks: {0}")]
     Model(ModelError),

@@ -6,7 +6,7 @@ use std::time::Instant;
 use clap::{Args, Subcommand};
 use seepd_gap::report::{Diagnosis, Verdict};
 use seepd_gap::{DiagnosisSettings, Log, Record, RecordError, SimulatedAxis, cannot_tell, diagnose};
-use seepd_settings::unknown_key;
+use seepd_settings::UnknownKey;
 use seepd_signals::Signal;
 use seepd_sim::electric::ElectricAxis;
 use seepd_sim::{MachineSpec, PlantParameters, SpecError};
@@ -74,7 +74,7 @@ fn known_effect(key: &str) -> Result<String, String> {
         return Ok(key.to_owned());
     }
     let known: Vec<&str> = seepd_sim::effects::ALL.iter().map(|effect| effect.key()).collect();
-    Err(unknown_key(key, &known).to_string())
+    Err(UnknownKey::new(key, &known).to_string())
 }
 
 /// Most cycles that are read: more add nothing but time.

@@ -198,7 +198,7 @@ fn failure(error: &TrainError) -> Failure {
         | TrainError::Spec(_)
         | TrainError::Unrecognised { .. }
         | TrainError::Comparison { .. } => Code::Configuration,
-        TrainError::Search(_) | TrainError::Model(_) | TrainError::Json(_) => Code::Internal,
+        _ => Code::Internal,
     };
     Failure::new(code, error.to_string())
 }
