@@ -343,7 +343,11 @@ fn the_blind_check_plants_diagnoses_and_scores() {
     let small = ["--each", "1", "--sizes", "1", "--cycles", "4", "--limit", "1"];
     stdout(&blind("plant", &[&plant[..], &small[..]].concat()));
     let again = blind("plant", &plant);
-    assert!(again.status.code() == Some(64) && stderr(&again).contains("not empty"), "{}", stderr(&again));
+    assert!(
+        again.status.code() == Some(64) && stderr(&again).contains("the folder is not empty"),
+        "{}",
+        stderr(&again)
+    );
     stdout(&blind("diagnose", &["--logs", text_of(&logs), "--answers", text_of(&answers)]));
     let hashes: Value =
         serde_json::from_str(&fs::read_to_string(answers.join("hashes.json")).unwrap()).unwrap();
@@ -359,7 +363,7 @@ fn the_blind_check_plants_diagnoses_and_scores() {
     assert!(error < 1e-3, "{scores}");
     let nothing = blind("score", &["--truth", text_of(&truth), "--answers", text_of(&logs)]);
     assert!(
-        nothing.status.code() == Some(65) && stderr(&nothing).contains("no answers"),
+        nothing.status.code() == Some(65) && stderr(&nothing).contains("has no answers"),
         "{}",
         stderr(&nothing)
     );

@@ -173,7 +173,7 @@ fn a_report_against_a_baseline_shows_its_record_and_what_the_estimate_comes_from
         "sees a leak of 2.0",
         "estimate, relative to the baseline",
         "the model alone",
-        "contributes, m²",
+        "contribution, mm²",
         "retract",
     ] {
         assert!(text.contains(told), "{told}");
@@ -182,5 +182,5 @@ fn a_report_against_a_baseline_shows_its_record_and_what_the_estimate_comes_from
     replay(&worn, &["--force", "--html", text_of(&page)]);
     let text = fs::read_to_string(&page).unwrap();
     assert_self_contained(&text);
-    assert!(text.contains("raises the estimate by the factor") && !text.contains("The baselines"), "{text}");
+    assert!(text.contains("multiplies the estimate by") && !text.contains("The baselines"), "{text}");
 }

@@ -33,16 +33,16 @@ enum Command {
     /// Train a model on a simulated machine
     #[cfg(feature = "train")]
     Train(commands::train::TrainArguments),
-    /// Make the source article's figures again, as one HTML page
+    /// Make the figures of the source article again, as one HTML page
     #[cfg(feature = "study")]
     Study(commands::study::StudyArguments),
-    /// Read logs (MCAP, CSV, candump): leak by cycle, flags, summary
+    /// Read logs (MCAP, CSV, candump) and show the leak by cycle, flags and a summary
     Replay(commands::replay::ReplayArguments),
-    /// Learn the healthy machine, so that estimates are relative to it
+    /// Learn the baseline of a healthy machine, so that estimates are relative to it
     LearnBaseline(commands::learn_baseline::LearnBaselineArguments),
-    /// Compare estimates and flags with the truth that logs hold
+    /// Compare estimates and flags with the truth in the logs
     Evaluate(commands::evaluate::EvaluateArguments),
-    /// Watch axes live: CAN in; leakage, flags and a dashboard out
+    /// Watch axes live: read CAN, and give leakage, flags and a dashboard
     #[cfg(feature = "live")]
     Run(commands::run::RunArguments),
     /// Listen on a CAN interface and write a first configuration
@@ -51,14 +51,14 @@ enum Command {
     /// Send a marked test alarm through each sink
     #[cfg(feature = "live")]
     TestSinks(commands::test_sinks::TestSinksArguments),
-    /// Say where simulator and machine part, and which effect causes it
+    /// Find where simulator and machine differ, and which effect explains it
     #[cfg(feature = "gap")]
     Gap(commands::gap::GapArguments),
-    /// Show what a log or a CAN bus holds and propose the mapping that reads it
+    /// Show what a log or a CAN bus has, and propose the mapping that reads it
     Inspect(commands::inspect::InspectArguments),
     /// Check plant, model and configuration files
     Check(commands::check::CheckArguments),
-    /// Print a shell's completion script
+    /// Print the completion script of a shell
     Completions(commands::shell::CompletionsArguments),
     /// Print the manual page, or write those of all commands
     Man(commands::shell::ManArguments),

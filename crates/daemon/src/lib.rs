@@ -14,6 +14,7 @@ pub mod html;
 pub mod live;
 pub mod output;
 mod progress;
+mod quantity;
 pub mod sink;
 
 pub use cli::main;

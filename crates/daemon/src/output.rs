@@ -209,7 +209,7 @@ impl Part {
                 Err(error) => return Err(error),
             }
         }
-        Err(io::Error::other("a thousand .part files are beside it; remove them"))
+        Err(io::Error::other("a thousand .part files lie beside it; remove them"))
     }
 
     fn put_in_place(&self, file: &File) -> io::Result<()> {

@@ -29,7 +29,7 @@ fn refuse_what_may_block(path: &Path) -> io::Result<()> {
     if fs::metadata(path)?.is_file() {
         return Ok(());
     }
-    Err(io::Error::new(io::ErrorKind::InvalidInput, "is no regular file, which is needed here"))
+    Err(io::Error::new(io::ErrorKind::InvalidInput, "this is not a regular file, which is needed here"))
 }
 
 #[cfg(test)]

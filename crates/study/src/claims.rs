@@ -51,6 +51,10 @@ pub struct ClaimOutcome {
     pub text: String,
 }
 
+/// The reference pressure difference, bar.
+const REFERENCE_BAR: f64 = REFERENCE_DP_PA / 1e5;
+/// Square millimetres of a square metre.
+const MM2_PER_M2: f64 = 1e6;
 /// A curve that is nearly only rising or falling, by its rank correlation.
 const MONOTONIC: f64 = 0.98;
 
@@ -78,8 +82,8 @@ fn load_and_demand(study: &Study) -> ClaimOutcome {
         figure: "figure 2",
         agreement: Agreement::Agrees,
         text: format!(
-            "The duty cycle is the simulator's input: demand {low_m:.2} to {high_m:.2} m, load {:.0} to {:.0} kN, every 10 s. It agrees by construction and \
-             shows no more than that the input is as meant.",
+            "The duty cycle is the simulator's input: demand {low_m:.2} to {high_m:.2} m, load {:.0} to {:.0} kN, every 10 s. It agrees by construction, and \
+             shows only that the input is as intended.",
             high_n / 1e3,
             low_n / 1e3
         ),
@@ -101,8 +105,8 @@ fn command(study: &Study) -> ClaimOutcome {
         figure: "figure 5",
         agreement: if growing { Agreement::Agrees } else { Agreement::Differs },
         text: format!(
-            "The command moves away from that of a healthy seal as the leak grows: RMS {first:.4} of full command at 1e-7 m², {last:.3} at 1e-5 m². The \
-             smallest leaks do not show to the eye among noise of 0.001, but over whole phases they do."
+            "The command moves away from that of a healthy seal as the leak grows: RMS {first:.4} of full command at 0.1 mm², {last:.3} at 10 mm². The \
+             smallest leaks cannot be seen by eye in noise of 0.001, but the means over whole phases show them."
         ),
     }
 }
@@ -118,15 +122,13 @@ fn leak_rate(study: &Study) -> ClaimOutcome {
         agreement: Agreement::of(proportional, as_large),
         text: format!(
             "The leak rate grows with the area to the power {exponent:.2}, nearly in proportion, as the text says. Its size does not agree: the largest area, \
-             {:.0e} m², passes {:.1} L/min on average and {:.1} L/min at its peak ({:.0} L/min at {} MPa), not {ARTICLE_LPM} L/min. By the orifice \
-             law of the article's own equations {ARTICLE_LPM} L/min at {} MPa is {:.2e} m²; its flows and areas cannot both be right.",
-            last.leak_area_m2,
+             {:.0} mm², passes {:.1} L/min on average and {:.1} L/min at its peak ({:.0} L/min at {REFERENCE_BAR} bar), not {ARTICLE_LPM} L/min. By the orifice \
+             law of the article's own equations {ARTICLE_LPM} L/min at {REFERENCE_BAR} bar is {:.3} mm²; its flows and areas cannot both be right.",
+            last.leak_area_m2 * MM2_PER_M2,
             last.mean_lpm,
             last.peak_lpm,
             last.orifice_lpm,
-            REFERENCE_DP_PA / 1e6,
-            REFERENCE_DP_PA / 1e6,
-            study.holding.article.leak_area_m2
+            study.holding.article.leak_area_m2 * MM2_PER_M2
         ),
     }
 }
@@ -149,15 +151,18 @@ fn features(study: &Study) -> ClaimOutcome {
         figure: "figure 7",
         agreement: Agreement::of(others.is_empty(), !steady),
         text: format!(
-            "{} follow the leak in one direction. {} The first t-SNE dimension has rank correlations of {correlations} with the area in two runs that differ in \
-             their random start only{}; and an embedding says nothing of a cycle that was not in it. It is dropped, as in the article.",
+            "The features {} follow the leak in one direction{}. The first t-SNE dimension has rank correlations of {correlations} with the area in two runs that differ only in \
+             their random start{}; and an embedding says nothing of a cycle that was not in it. It is dropped, as in the article.",
             list(&monotonic),
             if others.is_empty() {
                 String::new()
             } else {
-                format!("Not so {}: it turns back, so that a value stands for two leaks.", list(&others))
+                format!(
+                    "; {} does not, but turns back, so that one value stands for two leaks",
+                    list(&others)
+                )
             },
-            if steady { "" } else { ", so its shape is the start's as much as the leak's" }
+            if steady { "" } else { ", so that its shape owes as much to the start as to the leak" }
         ),
     }
 }
@@ -185,7 +190,7 @@ fn noise(study: &Study) -> ClaimOutcome {
         text: format!(
             "From noise 0.001 to 0.01 the error of the article's ensemble grows {without:.1} times without the Kalman filter and {with:.1} times with it: the filter \
              helps, as the text says. The features move by little, {:.2} % of their range at most without the filter and {:.2} % with it: each is a mean over \
-             10,000 samples, in which independent noise cancels. What is left counts at the smallest leaks only.",
+             10,000 samples, in which independent noise cancels. What is left matters only for the smallest leaks.",
             largest(0),
             largest(1)
         ),
@@ -203,16 +208,16 @@ fn ensembles(study: &Study) -> ClaimOutcome {
     let limit = |ensemble| {
         let smallest = study.limits.iter().find(|limit| limit.ensemble == ensemble);
         let lpm = smallest.and_then(|limit| limit.smallest_lpm);
-        lpm.map_or("no size".into(), |lpm| format!("{lpm:.2} L/min at {} MPa", REFERENCE_DP_PA / 1e6))
+        lpm.map_or("no size".into(), |lpm| format!("{lpm:.2} L/min at {REFERENCE_BAR} bar"))
     };
     let r2 = of("article", "press").map_or(f64::NAN, |line| line.r2);
     ClaimOutcome {
         figure: "ensemble",
         agreement: if r2 > 0.99 { Agreement::Agrees } else { Agreement::Differs },
         text: format!(
-            "On the very press that it learned from, which is what the article tests, its ensemble finds the leak (R² {r2:.5}). Median errors by decade of leak (5e-8…, 1e-7…, \
-             1e-6… m²) there: {} %, this program's {} %. On other presses of the series (parameters and load ± 5 %): {} % against {} %. Trees that \
-             learn the area itself spend themselves on large leaks, and five features without the phases cannot tell a leak from a valve that is a little larger. With a threshold above each of \
+            "On the very press that it learned from, which is what the article tests, its ensemble finds the leak (R² {r2:.5}). Median errors by size of the leak (0.05 to 0.1, 0.1 to 1, 1 to 10 mm²) \
+             there: {} %, this program's {} %. On other presses of the series (parameters and load ± 5 %): {} % against {} %. Trees that \
+             learn the area itself spend their splits on large leaks, and five features without the phases cannot tell a leak from a valve that is a little larger. With a threshold above each of \
              {} healthy presses (± {:.0} %, noise {}), one cycle shows 95 % of the leaks from {} on to the article's ensemble, from {} on to this program's, without a baseline.",
             percent(of("article", "press")),
             percent(of("seepd", "press")),
@@ -234,18 +239,16 @@ fn holding(study: &Study) -> ClaimOutcome {
         figure: "largest leak held",
         agreement: Agreement::of(near(holding.accurate.orifice_lpm), near(holding.in_control.orifice_lpm)),
         text: format!(
-            "Every hold ends within {:.0} mm of where it ends without a leak up to {:.2e} m² ({:.2} L/min at {} MPa, {:.2} L/min at the pressures of the holds). The command \
-             stays within its range up to {:.2e} m² ({:.0} L/min at {} MPa). At the article's {ARTICLE_LPM} L/min ({:.2e} m²) the holds end {:.2} mm farther off and the command \
-             reaches {:.2}. The article's limit is thus that of neither accuracy nor control here; it fits its areas as little as its flows do.",
+            "Every hold ends within {:.0} mm of where it ends without a leak up to {:.3} mm² ({:.2} L/min at {REFERENCE_BAR} bar, {:.2} L/min at the pressures of the holds). The command \
+             stays within its range up to {:.1} mm² ({:.0} L/min at {REFERENCE_BAR} bar). At the article's {ARTICLE_LPM} L/min ({:.3} mm²) the holds end {:.2} mm farther off and the command \
+             reaches {:.2}. So the article's limit is one of neither accuracy nor control here, and it fits its areas no better than its flows do.",
             1e3 * ACCURATE_WITHIN_M,
-            holding.accurate.leak_area_m2,
+            holding.accurate.leak_area_m2 * MM2_PER_M2,
             holding.accurate.orifice_lpm,
-            REFERENCE_DP_PA / 1e6,
             holding.accurate.flow_lpm,
-            holding.in_control.leak_area_m2,
+            holding.in_control.leak_area_m2 * MM2_PER_M2,
             holding.in_control.orifice_lpm,
-            REFERENCE_DP_PA / 1e6,
-            holding.article.leak_area_m2,
+            holding.article.leak_area_m2 * MM2_PER_M2,
             1e3 * holding.article.added_error_m,
             holding.article.largest_command
         ),

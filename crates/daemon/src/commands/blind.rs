@@ -29,8 +29,8 @@ use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
 use seepd_settings::side_file;
 
-/// Checks the diagnosis on logs whose cause is withheld from it: plants causes with a second simulator, diagnoses the logs, scores the
-/// answers.
+/// Checks the diagnosis on logs whose cause is withheld from it: plants causes with a second simulator, diagnoses the logs, and scores
+/// the answers.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd gap blind plant --logs logs --truth truth --seed 7\n  \
                         seepd gap blind diagnose --logs logs --answers answers\n  \
@@ -42,7 +42,7 @@ pub struct BlindArguments {
 
 #[derive(Debug, Subcommand)]
 enum Step {
-    /// Write logs with planted causes, and the truth elsewhere
+    /// Write logs with planted causes, and the truth into another folder
     #[command(after_help = "Example: seepd gap blind plant --logs logs --truth truth --seed 7")]
     Plant(PlantArguments),
     /// Diagnose logs, with and without pressures
@@ -55,38 +55,38 @@ enum Step {
 
 #[derive(Debug, Args)]
 struct PlantArguments {
-    /// Directory for the logs; must not exist
+    /// Folder for the logs; must be empty or not exist
     #[arg(long, value_name = "DIR")]
     logs: PathBuf,
-    /// Directory for the truth; must not exist
+    /// Folder for the truth; must be empty or not exist
     #[arg(long, value_name = "DIR")]
     truth: PathBuf,
     /// Seed of everything that is drawn
     #[arg(long, value_name = "S")]
     seed: u64,
-    /// Cases of each set: exact, other parameters, pairs, effects that the catalogue lacks, causes without a name
+    /// Cases of each set: exact machines, other parameters, pairs, effects that the catalogue lacks, causes without a name
     #[arg(long, value_name = "N", default_value_t = 12, value_parser = clap::value_parser!(u16).range(1..=1000))]
     each: u16,
     /// Sizes at which each effect is planted alone
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=3))]
     sizes: u16,
-    /// Keep so many of the cases only, in the order drawn
+    /// Keep only the first N cases
     #[arg(long, value_name = "N")]
     limit: Option<usize>,
-    /// Duty cycles of a log
+    /// Duty cycles of each log
     #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u16).range(3..=1000))]
     cycles: u16,
 }
 
 #[derive(Debug, Args)]
 struct DiagnoseArguments {
-    /// Directory with the logs
+    /// Folder with the logs
     #[arg(long, value_name = "DIR")]
     logs: PathBuf,
-    /// Directory for the answers; those that are there are kept
+    /// Folder for the answers; answers that are there are kept
     #[arg(long, value_name = "DIR")]
     answers: PathBuf,
-    /// Diagnose with these signals only
+    /// Diagnose only with these signals
     #[arg(long, value_enum)]
     view: Option<View>,
     /// Threads [default: one a core]
@@ -96,19 +96,19 @@ struct DiagnoseArguments {
 
 #[derive(Debug, Args)]
 struct ScoreArguments {
-    /// Directory with the truth
+    /// Folder with the truth
     #[arg(long, value_name = "DIR")]
     truth: PathBuf,
-    /// Directory with the answers
+    /// Folder with the answers
     #[arg(long, value_name = "DIR")]
     answers: PathBuf,
-    /// Directory with the logs: claimed gaps are measured again with the emitted plants
+    /// Folder with the logs, to measure claimed gaps again with the emitted plants
     #[arg(long, value_name = "DIR")]
     logs: Option<PathBuf>,
     /// Write the scores as JSON; `-`: to standard output, instead of the table
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// List what was answered wrong
+    /// List the wrong answers
     #[arg(long)]
     wrong: bool,
     #[command(flatten)]
@@ -183,7 +183,7 @@ fn plant(arguments: &PlantArguments) -> Result<Outcome, Failure> {
         fs::create_dir_all(directory).map_err(|error| Failure::writing(directory, error))?;
         let mut inside = fs::read_dir(directory).map_err(|error| Failure::reading(directory, &error))?;
         if inside.next().is_some() {
-            let what = format!("{}: not empty; name a new directory", directory.display());
+            let what = format!("{}: the folder is not empty; name a new one", directory.display());
             return Err(Failure::new(Code::Usage, what));
         }
     }
@@ -319,7 +319,10 @@ fn tell_scores(arguments: &ScoreArguments) -> Result<Outcome, Failure> {
         }
     }
     if scores.is_empty() {
-        return Err(Failure::data(format!("{}: no answers", arguments.answers.display())));
+        return Err(Failure::data(format!(
+            "{}: the folder has no answers to this truth",
+            arguments.answers.display()
+        )));
     }
     match file {
         Some(file) => write_json(&file, &scores)?,

@@ -15,17 +15,18 @@ use seepd_logs::{frame_decoder, open};
 use seepd_monitor::pipeline::DutyCycle;
 use seepd_settings::side_file;
 
-/// Checks plant, model and configuration files; tells line, key and the nearest known key of what is wrong.
+/// Checks plant, model and configuration files, and names the line, the key and the nearest known key of what is wrong.
 ///
-/// JSON is a model; TOML with a table `[plant]`, `[controller]`, `[cycle]` or `[effects]` is a plant; other TOML is a
-/// configuration, whose model and baseline are checked too, and whether the log that it names has the mapped signals. Every file is checked, also after one that is wrong.
+/// JSON is a model; TOML with a table `[plant]`, `[controller]`, `[cycle]`, `[effects]` or `[bounds]` is a plant; other TOML is a
+/// configuration. The model and the baseline of a configuration are checked too, and whether the log that it names has the mapped
+/// signals. Every file is checked, even after one that is wrong.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd check plant.toml model.json seepd.toml")]
 pub struct CheckArguments {
-    /// Files
+    /// Files to check
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// Print a JSON line a file
+    /// Print one line of JSON for each file
     #[arg(long)]
     json: bool,
 }
@@ -150,7 +151,7 @@ fn check_plant(path: &Path, text: &str) -> Result<String, Failure> {
 fn check_plant(path: &Path, _text: &str) -> Result<String, Failure> {
     Err(Failure::new(
         Code::Usage,
-        format!("{}: this build has no simulator and cannot check plants", path.display()),
+        format!("{}: this build has no simulator and cannot check plant files", path.display()),
     ))
 }
 

@@ -21,12 +21,12 @@ use seepd_monitor::event::{Event, Flag, FlagEvent};
 use seepd_monitor::pipeline::Pipeline;
 use seepd_signals::Signal;
 
-/// Simulates a press whose seal wears over many cycles, writes the log, replays it with the model that the program
-/// brings, shows the estimate against the truth and when the flags rose, and leaves the log and a page with plots.
+/// Simulates a press whose seal wears over many cycles, writes its log, replays that log with the embedded model, compares the estimate
+/// with the truth, says when the flags rose, and leaves the log and a page with plots.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd demo --folder /tmp/demo")]
 pub struct DemoArguments {
-    /// Folder for log and page; made if it is not there
+    /// Folder for the log and the page; made if it does not exist
     #[arg(long, default_value = "seepd-demo", value_name = "FOLDER")]
     folder: PathBuf,
     /// Duty cycles

@@ -23,10 +23,10 @@ use crate::sink::terminal::{listed, print};
 use seepd_logs::{LogMapping, Selection, SignalMapping, record};
 use seepd_monitor::pipeline::Pipeline;
 
-/// Compares estimates and flags with the truth that logs hold: errors, coverage, delay, false alarms, receiver operating curve.
+/// Compares estimates and flags with the truth in the logs: errors, coverage, delay, false alarms, receiver operating curves.
 ///
-/// Each log is a machine's record of its own. The truth is the leak's area, from a simulator or a flow meter; the estimates never
-/// see it. Simulated logs hold it on /axis/truth.
+/// Each log is the record of one machine. The truth is the area or the flow of the leak, from a simulator or a flow meter; the
+/// estimates never see it. Simulated logs have it on /axis/truth.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  seepd evaluate press-*.mcap\n  \
                         seepd evaluate --learn-cycles 50 --html evaluation.html press-*.mcap\n  \
@@ -39,10 +39,10 @@ pub struct EvaluateArguments {
     reading: ReadingArguments,
     #[command(flatten)]
     baseline: BaselineArguments,
-    /// The logs are one machine's record, one after the other
+    /// Read the logs one after the other, as the record of one machine
     #[arg(long)]
     one_machine: bool,
-    /// Field, column or DBC signal of the truth
+    /// Field, column or DBC signal that has the truth
     #[arg(long, value_name = "FIELD", num_args = 0..=1, default_value = "leak_area", default_missing_value = "leak_area")]
     truth: String,
     /// Topic of the truth [default: /axis/truth beside /axis/signals]
@@ -51,10 +51,10 @@ pub struct EvaluateArguments {
     /// Unit of the truth
     #[arg(long, value_enum, default_value_t = TruthUnit::M2)]
     truth_unit: TruthUnit,
-    /// A machine leaks from this flow on, L/min at the reference pressure difference
+    /// Flow from which a machine counts as leaking, L/min at the reference pressure difference
     #[arg(long, value_name = "LPM", default_value_t = 0.005)]
     onset_lpm: f64,
-    /// A leak is to be found within so many cycles
+    /// Cycles within which a leak has to be found
     #[arg(long, value_name = "N", default_value_t = 30)]
     within_cycles: usize,
     /// Print one JSON object
@@ -100,7 +100,10 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
         ));
     }
     if arguments.logs.iter().any(|log| log == Path::new("-")) {
-        return Err(Failure::new(Code::Usage, "standard input: each log is read twice; name its file"));
+        return Err(Failure::new(
+            Code::Usage,
+            "standard input cannot be evaluated, as each log is read twice: name a file",
+        ));
     }
     if arguments.within_cycles == 0 {
         return Err(Failure::new(Code::Usage, "--within-cycles is 0; it must be 1 or more"));
@@ -137,7 +140,7 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
     }
     if evaluation.without_truth > 0 {
         warn(&format!(
-            "{} of {} cycles have no truth beside them; they are in none of the figures",
+            "{} of {} cycles have no known truth; they are left out of all figures",
             evaluation.without_truth, evaluation.cycles
         ));
     }
@@ -219,8 +222,8 @@ fn warn_of_leaking_baseline(record: &MachineRecord, conditions: &Conditions) {
         && conditions.leaked_while_learning(record)
     {
         warn(&format!(
-            "{}: its baseline was learned while the truth was a leak of up to {:.3} L/min, which estimates relative to it do not count; \
-             learn it from healthy cycles and name it with --baseline",
+            "{}: its baseline was learned while the truth was a leak of up to {:.3} L/min, which is missing from estimates relative to it; \
+             learn the baseline from healthy cycles and name it with --baseline",
             record.name,
             leak_m2 * conditions.lpm_per_m2
         ));
@@ -232,7 +235,7 @@ fn nothing_to_judge(evaluation: &Evaluation) -> Failure {
     let why = if *cycles == 0 {
         "no cycle was found in the logs".to_owned()
     } else if without_truth == cycles {
-        format!("no truth lies within any of the {cycles} cycles: is its time the signals' time?")
+        format!("no truth lies within any of the {cycles} cycles; do truth and signals have the same time?")
     } else {
         format!("none of the {cycles} cycles has an estimate ({})", listed(rejected))
     };

@@ -1,4 +1,4 @@
-//! `seepd gap`: where simulator and machine part, and which effect causes it.
+//! `seepd gap`: where simulator and machine differ, and which effect explains it.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -17,18 +17,20 @@ use super::simulate::read_plant;
 use crate::cli::Outcome;
 use crate::config::AxisConfig;
 use crate::failure::{Code, Failure};
-use crate::html::gap::GapPage;
+use crate::html::chart::number;
+use crate::html::gap::{GapPage, REFERENCE_DP_PA};
 use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::Steps;
+use crate::quantity::bar;
 use crate::sink::terminal::print;
 use seepd_logs::open;
 use seepd_monitor::event::LPM_PER_M3_PER_S;
 use seepd_settings::side_file;
 
-/// Says where the simulator and a machine part, which effect that the simulator lacks causes it, how likely that is, and how far the
-/// gap shrinks once the effect is added; or that nothing it knows explains the log.
+/// Compares a log with the simulator: where they differ, which effect that the simulator lacks explains it and how likely that is, and
+/// how far the difference shrinks once the effect is added; or that nothing in the catalogue explains the log.
 ///
-/// Needs command and position; demand, load and pressures help. Signals are mapped as in `replay`.
+/// The log must have the command and the position; demand, load and pressures help. Signals are mapped as in `replay`.
 #[derive(Debug, Args)]
 #[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 #[command(after_help = "Examples:\n  seepd gap press-3.mcap --plant press-3.toml\n  \
@@ -53,7 +55,7 @@ pub struct GapArguments {
     /// Write the plant file with the calibrated parameters and the chosen effects
     #[arg(long, value_name = "FILE")]
     emit_plant: Option<PathBuf>,
-    /// Effect that the catalogue is to lack; may be repeated
+    /// Leave this effect out of the catalogue; may be repeated
     #[arg(long, value_name = "EFFECT", value_parser = known_effect)]
     without: Vec<String>,
     /// Threads [default: one a core]
@@ -94,7 +96,7 @@ pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
         return super::blind::run(arguments);
     }
     let Some(path) = &arguments.log else {
-        return Err(Failure::new(Code::Usage, "name the log to diagnose"));
+        return Err(Failure::new(Code::Usage, "there is no log to diagnose: name one"));
     };
     let electric = arguments.plant.as_deref().map(electric_axis).transpose()?.flatten();
     match electric {
@@ -327,7 +329,7 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
         );
     }
     text += &format!(
-        "\ncalibration alone removes {} of what can be removed, the chosen machine {}\n",
+        "\ncalibration alone removes {} of the removable gap, the chosen machine {}\n",
         percent(diagnosis.shrink.calibration_only),
         percent(diagnosis.shrink.of_removable)
     );
@@ -338,9 +340,9 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
             .iter()
             .map(|(effect, part)| format!("{effect} {}", percent(*part)))
             .collect();
-        text += &format!("of that beyond calibration: {}\n", parts.join(", "));
+        text += &format!("beyond the calibration: {}\n", parts.join(", "));
     }
-    text += "\nwhere, after calibration:\n";
+    text += "\nwhere, after the calibration:\n";
     for place in diagnosis.places.iter().take(4) {
         text += &format!(
             "  {:>6}  {} in {}, seen in {}\n",
@@ -357,29 +359,30 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
             .iter()
             .map(|(name, value)| {
                 let [low, high] = finding.interval95.get(name).copied().unwrap_or([f64::NAN; 2]);
-                format!("{name} {value:.4e} ({low:.3e} … {high:.3e})")
+                format!("{name} {} ({} … {})", number(*value), number(low), number(high))
             })
             .collect();
         text +=
             &format!("  {:>6}  {}: {}\n", percent(finding.probability), finding.effect, values.join(", "));
         if !finding.equivalent.is_empty() {
-            text += &format!("          looks the same in this log: {}\n", finding.equivalent.join(", "));
+            text +=
+                &format!("          cannot be told apart in this log: {}\n", finding.equivalent.join(", "));
         }
     }
     text += &format!("  {:>6}  none of these\n", percent(diagnosis.unknown_probability));
-    text +=
-        &format!("  {:>6}  no effect, other parameters at most\n", percent(diagnosis.no_effect_probability));
-    text += "\nparameters as calibrated, over the plant file's:\n";
+    text += &format!("  {:>6}  no effect, only other parameters\n", percent(diagnosis.no_effect_probability));
+    text += "\ncalibrated parameters, divided by those of the plant file:\n";
     for (symbol, value) in &diagnosis.calibrated {
         let ratio = value.fitted / value.nominal;
         let ends = value.interval95.map(|end| end / value.nominal);
         text += &format!("  {symbol:<10} {ratio:>6.3}  ({:.3} … {:.3})\n", ends[0], ends[1]);
     }
     if let Some(plant) = plant {
-        let lpm = |area: f64| plant.orifice_flow_m3_per_s(area, 7e6) * LPM_PER_M3_PER_S;
+        let lpm = |area: f64| plant.orifice_flow_m3_per_s(area, REFERENCE_DP_PA) * LPM_PER_M3_PER_S;
         let leak = &diagnosis.leak;
         text += &format!(
-            "\nleak at 7 MPa: {:.3} L/min by the plant file, {:.3} calibrated, {:.3} as chosen\n",
+            "\nleak at {} bar: {:.3} L/min with the plant file, {:.3} calibrated, {:.3} as chosen\n",
+            bar(REFERENCE_DP_PA),
             lpm(leak.nominal_m2),
             lpm(leak.calibrated_m2),
             lpm(leak.chosen_m2)
@@ -388,14 +391,14 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
     for line in diagnosis.distinguish.iter().chain(&diagnosis.notes) {
         text += &format!("{line}\n");
     }
-    text += &format!("{:.1} s\n", diagnosis.seconds);
+    text += &format!("took {:.1} s\n", diagnosis.seconds);
     text
 }
 
 fn headline(diagnosis: &Diagnosis) -> String {
     let because = diagnosis.reason.as_ref().map_or(String::new(), |reason| format!(" ({reason})"));
     let text = match diagnosis.verdict {
-        Verdict::NoGap => "no gap: the plant file's machine shows what the log shows".into(),
+        Verdict::NoGap => "no gap: the machine of the plant file behaves as the log does".into(),
         Verdict::Parameters => "no effect: other parameters explain the log".into(),
         Verdict::Effect => format!("an effect: {}", diagnosis.chosen.join(", ")),
         Verdict::Unknown => "an effect that is not in the catalogue".into(),

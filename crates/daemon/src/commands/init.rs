@@ -15,7 +15,7 @@ use crate::sink::plain::{self, one_line};
 use seepd_logs::can::dbc::Dbc;
 use seepd_logs::survey::LogSurvey;
 
-/// Listens on a CAN interface (or looks into a log), proposes where the signals are, and writes a configuration for `run`.
+/// Listens on a CAN interface (or reads a log), works out where the signals are, and writes a configuration for `run`.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd init can0 --dbc press.dbc --out /etc/seepd/seepd.toml\n  seepd init can0 --seconds 20 --axis press-1\n  seepd init press-1.mcap --out seepd.toml"
@@ -30,7 +30,7 @@ pub struct InitArguments {
     /// Name of the axis
     #[arg(long, default_value = "press-1", value_name = "NAME")]
     axis: String,
-    /// How long to listen, s: a duty cycle and more
+    /// How long to listen, s; a duty cycle or more
     #[arg(long, default_value_t = 12.0, value_name = "S")]
     seconds: f64,
     /// Configuration to write
@@ -51,7 +51,10 @@ pub fn run(arguments: &InitArguments) -> Result<Outcome, Failure> {
     let found = look(&arguments.place, "t_s", dbc.as_ref(), arguments.seconds)?;
     let text = configuration(arguments, &found);
     DaemonConfig::parse(&text).map_err(|message| {
-        Failure::new(Code::Usage, format!("what you gave makes no configuration: {message}"))
+        Failure::new(
+            Code::Usage,
+            format!("the configuration that follows from these arguments is not valid: {message}"),
+        )
     })?;
     target.write(text)?;
     let mut out = plain::stderr();
@@ -66,7 +69,7 @@ pub fn run(arguments: &InitArguments) -> Result<Outcome, Failure> {
     let path = arguments.out.display();
     let _ = writeln!(
         out,
-        "written: {path}; look it over, then `seepd check {path}` and `seepd run --config {path}`"
+        "wrote {path}; look it over, then run `seepd check {path}` and `seepd run --config {path}`"
     );
     Ok(Outcome::Good)
 }
@@ -76,11 +79,11 @@ fn configuration(arguments: &InitArguments, found: &LogSurvey) -> String {
     let absolute = |path: &Path| fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let place = arguments.place.display().to_string();
     let mut text = format!(
-        "# Written by `seepd init {}`. Every key: see the manual page and README.\n",
+        "# Written by `seepd init {}`. docs/configuration.md describes every key.\n",
         one_line(&place)
     );
     text += &format!("axis = {}\n", toml::Value::from(arguments.axis.as_str()));
-    text += "# model = \"press-1.json\"   # absent: the model for the built-in press\n";
+    text += "# model = \"press-1.json\"   # without it, the embedded model of the nominal press\n";
     if let Some(dbc) = &arguments.dbc {
         text += &format!("dbc = {}\n", quoted(&absolute(dbc)));
     }

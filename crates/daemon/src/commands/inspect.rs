@@ -17,8 +17,8 @@ use seepd_logs::CountedReader;
 use seepd_logs::can::dbc::Dbc;
 use seepd_logs::survey::{LogSurvey, survey, toml_text};
 
-/// Shows a log's topics, rates, gaps, encodings and numeric fields with their ranges, guesses which are the command,
-/// position, demand, pressures and load, and prints the mapping that would read them.
+/// Shows the topics of a log with their rates, gaps, encodings and numeric fields, guesses which fields are the command, position,
+/// demand, pressures and load, and prints the mapping that reads them.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd inspect press-1.mcap\n  seepd inspect press-1.mcap > seepd.toml   # the mapping alone\n  \
@@ -28,16 +28,16 @@ pub struct InspectArguments {
     /// Log (MCAP, CSV with a header row, candump), or a CAN interface such as can0
     #[arg(value_name = "LOG")]
     log: PathBuf,
-    /// How long to listen on an interface, s
+    /// How long to listen on a CAN interface, s
     #[arg(long, default_value_t = 5.0, value_name = "S")]
     seconds: f64,
     /// Print one JSON object instead
     #[arg(long)]
     json: bool,
-    /// Name of a CSV file's time column; in the unit that it ends in, such as time_ms, else in seconds
+    /// Time column of a CSV file; its unit is what its name ends in, as in time_ms, else seconds
     #[arg(long, default_value = "t_s", value_name = "COLUMN")]
     time_column: String,
-    /// DBC file that describes a CAN log's frames
+    /// DBC file that describes the frames of a CAN log
     #[arg(long, value_name = "FILE")]
     dbc: Option<PathBuf>,
 }
@@ -121,7 +121,10 @@ fn listen(interface: &str, dbc: Option<&Dbc>, seconds: f64) -> Result<LogSurvey,
 
 #[cfg(not(feature = "live"))]
 fn listen(interface: &str, _dbc: Option<&Dbc>, _seconds: f64) -> Result<LogSurvey, Failure> {
-    Err(Failure::new(Code::Usage, format!("{interface}: this build has no live input; name a log")))
+    Err(Failure::new(
+        Code::Usage,
+        format!("{interface}: this build cannot listen on an interface; name a log"),
+    ))
 }
 
 fn print_overview(found: &LogSurvey) -> io::Result<()> {

@@ -15,15 +15,16 @@ use crate::config::AxisConfig;
 use crate::failure::{Code, Failure};
 use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::{byte_bar, counting, warn};
+use crate::quantity::{mm2, mm2_interval};
 use crate::sink::terminal::print;
 use seepd_logs::record;
 use seepd_monitor::baseline::{Baseline, BaselineFile, MOST_CYCLES};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
-/// Learns a healthy machine's baseline from its logs, for estimates relative to it.
+/// Learns the baseline of a healthy machine from its logs, so that estimates are relative to it.
 ///
-/// A baseline cancels what stays as it was: the machine's own valve null, gain, friction and leakage past a healthy seal. It does not
-/// cancel what changes later: oil temperature, load and supply pressure are told apart by the phases, as far as training knows them.
+/// A baseline cancels what does not change: the machine's own valve null, gain and friction, and the leakage past a healthy seal. What
+/// changes later (oil temperature, load, supply pressure) is told from a leak by its pattern over the phases, as far as training knows it.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  seepd learn-baseline --out press-1.baseline.json monday.mcap\n  \
                         seepd replay --baseline press-1.baseline.json friday.mcap\n  \
@@ -35,7 +36,7 @@ pub struct LearnBaselineArguments {
     /// File to write
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
-    /// Add to the file's record: the seal has been replaced, and estimates count from here; the older baselines stay in the file
+    /// The seal has been replaced: add a baseline to the file, from which estimates count; the older ones stay in it
     #[arg(long, conflicts_with = "force")]
     seal_replaced: bool,
     /// Why the baseline is learned, in a few words [default: `commissioning`, or `seal replaced`]
@@ -43,10 +44,10 @@ pub struct LearnBaselineArguments {
     occasion: Option<String>,
     #[command(flatten)]
     overwrite: OverwriteArguments,
-    /// The duty cycle whose baseline is learned, where the configuration has several
+    /// Duty cycle whose baseline is learned, where the configuration has several
     #[arg(long, value_name = "NAME")]
     duty_cycle: Option<String>,
-    /// Use the first N usable cycles only
+    /// Use only the first N usable cycles
     #[arg(long, value_name = "N", default_value_t = MOST_CYCLES)]
     cycles: usize,
     #[command(flatten)]
@@ -84,13 +85,16 @@ fn chosen(name: Option<&str>, duty_cycles: &[DutyCycle]) -> Result<usize, Failur
     let usage = |text: String| Err(Failure::new(Code::Usage, text));
     match name {
         None if duty_cycles.len() == 1 => Ok(0),
-        None => usage(format!("--duty-cycle is missing; the configuration has {}", known.join(", "))),
+        None => usage(format!(
+            "--duty-cycle is missing; the configuration has the duty cycles {}",
+            known.join(", ")
+        )),
         Some(name) => match known.iter().position(|known| *known == name) {
             Some(index) => Ok(index),
             None if known.is_empty() => {
                 usage(format!("--duty-cycle {name}: the configuration has no [[duty_cycles]]"))
             }
-            None => usage(format!("--duty-cycle {name}: the configuration has {}", known.join(", "))),
+            None => usage(format!("--duty-cycle {name}: the configuration has only {}", known.join(", "))),
         },
     }
 }
@@ -107,7 +111,7 @@ fn record_of(
         (false, true) if !arguments.overwrite.force => Err(Failure::new(
             Code::Usage,
             format!(
-                "{}: is there already; --seal-replaced adds to its record, --force begins anew",
+                "{}: is there already; --seal-replaced adds a baseline to it, --force begins a new file",
                 path.display()
             ),
         )),
@@ -181,16 +185,16 @@ fn describe(out: &mut impl Write, path: &Path, model: &Model, baseline: &Baselin
     )?;
     writeln!(
         out,
-        "repeats within {:.1e} m² of leak (standard deviation); command noise {:.4}; load {}",
-        baseline.residual_deviation_m2,
+        "cycles repeat within {} mm² of leak (standard deviation); noise of the command {:.4}; load {}",
+        mm2(baseline.residual_deviation_m2),
         baseline.noise,
         baseline.load_n.map_or("not measured".to_owned(), |load_n| format!("{load_n:.0} N on average"))
     )?;
-    let [low, high] = baseline.absolute_interval90_m2;
     writeln!(
         out,
-        "the simulator-trained estimate of these cycles: {:.2e} m² ({low:.2e} … {high:.2e})",
-        baseline.absolute_leak_area_m2
+        "leak of these cycles by the model alone: {} mm² ({})",
+        mm2(baseline.absolute_leak_area_m2),
+        mm2_interval(baseline.absolute_interval90_m2)
     )?;
     for ((phase, mean), deviation) in
         model.file().cycle.phases.iter().zip(&baseline.mean).zip(&baseline.deviation)

@@ -14,16 +14,16 @@ use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 /// The arguments that say where the signals are.
 #[derive(Debug, Args)]
 pub struct MappingArguments {
-    /// Configuration with mapping, model and alarm thresholds
+    /// Configuration with signal mapping, model and alarm thresholds
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// The axis of the configuration whose log it is, where it has several
+    /// Axis that the log is of, where the configuration has several
     #[arg(long, value_name = "NAME", requires = "config")]
     axis: Option<String>,
-    /// Topic of the signals, where the log has several axes; interface in a CAN log
+    /// Topic of the signals, where the log has several axes; in a CAN log the interface
     #[arg(long, value_name = "TOPIC")]
     topic: Option<String>,
-    /// DBC file that describes a CAN log's frames
+    /// DBC file that describes the frames of a CAN log
     #[arg(long, value_name = "FILE")]
     dbc: Option<PathBuf>,
     /// Field, column or DBC signal (`Signal` or `Message.Signal`) of the command
@@ -59,7 +59,7 @@ impl MappingArguments {
 pub struct ReadingArguments {
     #[command(flatten)]
     mapping: MappingArguments,
-    /// Model instead of the configuration's or the one that the program brings
+    /// Model to use instead of that of the configuration or the embedded one
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
 }
@@ -78,7 +78,7 @@ impl ReadingArguments {
         let mut config = self.mapping.load()?;
         if let Some(path) = &self.model {
             if !config.duty_cycles.is_empty() {
-                let text = "--model: the configuration has several duty cycles, each with its own model";
+                let text = "--model cannot be used: the configuration has several duty cycles, each with its own model";
                 return Err(Failure::new(Code::Usage, text));
             }
             config.model = Some(path.clone());
@@ -91,7 +91,7 @@ impl ReadingArguments {
 /// What a command's estimates are relative to.
 #[derive(Debug, Args)]
 pub struct BaselineArguments {
-    /// Baseline of the machine, from `learn-baseline`: estimates are then relative to it
+    /// Baseline of the machine, from `learn-baseline`; estimates are then relative to it
     #[arg(long, value_name = "FILE", conflicts_with = "learn_cycles")]
     baseline: Option<PathBuf>,
     /// Learn the baseline from the first N cycles, and compare the rest with it
@@ -120,8 +120,7 @@ impl BaselineArguments {
         let mut files = config.baseline_files();
         if let Some(path) = &self.baseline {
             if files.len() > 1 {
-                let text =
-                    "--baseline: the configuration has several duty cycles; name their baselines there";
+                let text = "--baseline cannot be used: the configuration has several duty cycles; name their baselines there";
                 return Err(Failure::new(Code::Usage, text));
             }
             files = vec![Some(path)];
@@ -134,7 +133,10 @@ impl BaselineArguments {
             };
             let file = baseline_file::read(path, &config.axis, monitor.model())?;
             let Some(baseline) = file.newest() else {
-                return Err(Failure::configuration(path, "has no baseline; see seepd learn-baseline"));
+                return Err(Failure::configuration(
+                    path,
+                    "the file has no baseline; learn one with `seepd learn-baseline`",
+                ));
             };
             monitor.follow(baseline.clone());
             records.push(file.baselines);
@@ -151,7 +153,8 @@ pub fn check_cycles(option: &str, cycles: usize) -> Result<(), Failure> {
     if (LEAST_CYCLES..=MOST_CYCLES).contains(&cycles) {
         return Ok(());
     }
-    let text =
-        format!("{option} is {cycles}; a baseline has {LEAST_CYCLES} … {MOST_CYCLES} cycles, 50 are good");
+    let text = format!(
+        "{option} is {cycles}; a baseline takes {LEAST_CYCLES} … {MOST_CYCLES} cycles, and 50 are a good number"
+    );
     Err(Failure::new(Code::Usage, text))
 }

@@ -25,10 +25,10 @@ use seepd_logs::record::Clock;
 use seepd_monitor::event::{Event, Flag, Summary};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
-/// Reads logs (MCAP, CSV, candump) and tells the leak of each duty cycle, the flags and a summary.
+/// Reads logs (MCAP, CSV, candump) and shows the leak of each duty cycle, the flags and a summary.
 ///
-/// Several logs are read one after the other as one machine's record. The leak is always given as an area (m²)
-/// and as the flow that this area passes at a stated pressure difference.
+/// Several logs are read one after the other as the record of one machine. A leak is given as the flow that it passes at a stated
+/// pressure difference (L/min), and as an area (mm²). JSON, CSV and MCAP have SI units.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd replay press-1.mcap\n  seepd replay --json --model model.json press-1.csv | jq .leak_flow_lpm\n  \
@@ -44,25 +44,25 @@ pub struct ReplayArguments {
     reading: ReadingArguments,
     #[command(flatten)]
     baseline: BaselineArguments,
-    /// Print JSON lines: a line a cycle, then the summary
+    /// Print JSON lines: one for each cycle, then the summary
     #[arg(long)]
     json: bool,
-    /// Print the summary only
+    /// Print only the summary
     #[arg(long, conflicts_with = "json")]
     quiet: bool,
     /// Write the cycles as CSV
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Write the cycles and changes of flag as MCAP (/axis/leakage, /axis/flags)
+    /// Write the cycles and the changes of flag as MCAP (/axis/leakage, /axis/flags)
     #[arg(long, value_name = "FILE")]
     mcap: Option<PathBuf>,
     /// Write a report as one HTML page
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
-    /// Pressure difference at which leaks are given as flows, MPa
+    /// Pressure difference at which leaks are given as flows, MPa (1 MPa is 10 bar)
     #[arg(long, value_name = "MPA")]
     reference_mpa: Option<f64>,
-    /// Exit with 1 if a flag rose above healthy, with 65 if there were too few estimates for any flag
+    /// Exit with 1 if a flag rose above healthy, and with 65 if there were too few estimates for any flag
     #[arg(long)]
     fail_on_fault: bool,
     #[command(flatten)]
@@ -86,7 +86,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         if !(0.1..=100.0).contains(&mpa) {
             return Err(Failure::new(
                 Code::Usage,
-                format!("--reference-mpa is {mpa}; it must lie in 0.1 … 100 MPa"),
+                format!("--reference-mpa is {mpa}; it must lie in 0.1 … 100 MPa (1 … 1000 bar)"),
             ));
         }
         config.reference_dp_pa = mpa * 1e6;
@@ -124,7 +124,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     {
         return Err(Failure::data(format!(
             "the command comes at {rate:.1} Hz, the model reads {} Hz: no cycle could be used; train a model for this \
-             rate (controller.period_s in the plant file)",
+             rate (`controller.period_s` in the plant file)",
             pipeline.monitors()[0].model().file().sample_rate_hz
         )));
     }

@@ -8,19 +8,19 @@ use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::live;
 
-/// Watches axes live: CAN in; leakage, flags and a dashboard out. Made to run under systemd.
+/// Watches axes live: reads CAN, and gives leakage, flags and a dashboard. Made to run under systemd.
 ///
-/// Signals: HUP takes a changed configuration over and refuses a bad one, TERM and INT end the daemon once everything is
-/// written. A daemon all of whose sources are logs ends with them.
+/// HUP makes the daemon take over a changed configuration (a bad one is refused); TERM and INT end it once everything is written. A
+/// daemon that reads nothing but logs ends with them.
 #[derive(Debug, Args)]
 #[command(
-    after_help = "Examples:\n  seepd run --config /etc/seepd/seepd.toml\n  kill -HUP $(pidof seepd)   # take changes over"
+    after_help = "Examples:\n  seepd run --config /etc/seepd/seepd.toml\n  kill -HUP $(pidof seepd)   # take over a changed configuration"
 )]
 pub struct RunArguments {
-    /// Configuration: axes with sources, model and alarm; sinks
+    /// Configuration with the axes (source, model, alarm) and the sinks
     #[arg(long, value_name = "FILE", default_value = "/etc/seepd/seepd.toml")]
     config: PathBuf,
-    /// What is logged: error, warn, info, debug or trace
+    /// Least level that is logged: error, warn, info, debug or trace
     #[arg(long, value_name = "LEVEL", default_value = "info")]
     log_level: String,
 }
@@ -44,5 +44,5 @@ pub(super) fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
         .enable_all()
         .max_blocking_threads(4)
         .build()
-        .map_err(|error| Failure::new(Code::Internal, format!("starting: {error}")))
+        .map_err(|error| Failure::new(Code::Internal, format!("the daemon cannot start: {error}")))
 }

@@ -12,11 +12,11 @@ use crate::failure::{Code, Failure};
 use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::sink::terminal::print;
 
-/// Prints a shell's completion script.
+/// Prints the completion script of a shell.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd completions bash > /etc/bash_completion.d/seepd")]
 pub struct CompletionsArguments {
-    /// Shell
+    /// The shell
     shell: Shell,
 }
 
@@ -24,7 +24,7 @@ pub struct CompletionsArguments {
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  seepd man | man -l -\n  seepd man --folder /usr/local/share/man/man1")]
 pub struct ManArguments {
-    /// Write seepd.1, seepd-replay.1 and so on there
+    /// Write seepd.1, seepd-replay.1 and so on into this folder
     #[arg(long, value_name = "FOLDER")]
     folder: Option<PathBuf>,
     #[command(flatten)]

@@ -22,8 +22,8 @@ use seepd_settings::side_file;
 
 /// Writes the log (MCAP) of a simulated machine: signals on /axis/signals, the truth on /axis/truth.
 ///
-/// Without options: the nominal press, 24 cycles, no leak, command noise 0.001, seed 1. A warm-up cycle is
-/// simulated first and not written.
+/// Without options: the nominal press, 24 cycles, no leak, noise of the command 0.001, seed 1. A warm-up cycle is simulated first and
+/// not written.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  seepd simulate --out healthy.mcap\n  \
                         seepd simulate --out worn.mcap --cycles 100 --leak-area 5e-8 --leak-growth 1e-6 --seed 7\n  \
@@ -38,40 +38,40 @@ pub struct SimulateArguments {
     /// Duty cycles to write
     #[arg(long, default_value_t = 24, value_name = "N")]
     pub cycles: usize,
-    /// Leak area past the piston seal, m² [default: the plant file's]
+    /// Leak area past the piston seal, m² (1e-6 m² is 1 mm²) [default: that of the plant file]
     #[arg(long, value_name = "M2")]
     pub leak_area: Option<f64>,
-    /// Leak area from a cycle on, m²: AREA@CYCLE
+    /// Leak area from a cycle on, m², such as 2e-7@12
     #[arg(long, value_name = "M2@CYCLE", conflicts_with = "leak_growth")]
     pub leak_step: Option<String>,
-    /// Leak area at the last cycle, m²: exponential growth from --leak-area, or from 1e-8 m²
+    /// Leak area at the last cycle, m²; it grows exponentially from --leak-area, or from 1e-8 m²
     #[arg(long, value_name = "M2")]
     pub leak_growth: Option<f64>,
     /// Standard deviation of the measurement noise on the command, share of full command
     #[arg(long, default_value_t = 0.001, value_name = "SIGMA")]
     pub noise: f64,
-    /// Load varies from cycle to cycle within ± this share
+    /// Share (±) by which the load varies from cycle to cycle
     #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
     pub load_variation: f64,
-    /// Period varies from cycle to cycle within ± this share
+    /// Share (±) by which the period varies from cycle to cycle
     #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
     pub period_variation: f64,
-    /// Longest standstill between cycles, s; uniform from 0
+    /// Longest pause between cycles, s; pauses are uniform from 0
     #[arg(long, default_value_t = 0.0, value_name = "S")]
     pub pause: f64,
-    /// Oil temperature, °C (ISO VG 46), at the first and the last cycle; between them it goes evenly. 45 is nominal
+    /// Oil temperature, °C (ISO VG 46), at the first and at the last cycle, evenly in between; nominal is 45
     #[arg(long, value_name = "C[..C]", value_parser = parse_range)]
     pub oil_temperature: Option<(f64, f64)>,
-    /// The supply's relief pressure goes evenly from this share below to this share above its value
+    /// Drift of the supply's relief pressure, evenly from this share below its value to this share above it
     #[arg(long, default_value_t = 0.0, value_name = "SHARE", allow_negative_numbers = true)]
     pub supply_drift: f64,
-    /// Another machine of the series: plant parameters and load differ within ± this share, by the seed
+    /// Simulate another machine of the series: plant parameters and load differ within ± this share, by the seed
     #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
     pub parameter_spread: f64,
-    /// Machine of the series; the same number is the same machine [default: the seed]
+    /// Number of the machine in the series; the same number is the same machine [default: the seed]
     #[arg(long, value_name = "N")]
     pub machine: Option<u64>,
-    /// Effect beyond the nominal plant: EFFECT.PARAMETER=VALUE; may be repeated
+    /// Add an effect to the nominal plant; may be repeated
     #[arg(long = "with", value_name = "EFFECT.PARAMETER=VALUE")]
     pub with: Vec<String>,
     /// Plant file instead of the nominal press
@@ -83,10 +83,10 @@ pub struct SimulateArguments {
     /// Begin the log this long after the start of a cycle, s
     #[arg(long, default_value_t = 0.0, value_name = "S")]
     pub start_at: f64,
-    /// Write the command alone
+    /// Write only the command
     #[arg(long)]
     pub command_only: bool,
-    /// Leave out the truth
+    /// Leave the truth out of the log
     #[arg(long)]
     pub no_truth: bool,
     /// Compression of the log
@@ -142,7 +142,7 @@ pub fn run(arguments: &SimulateArguments) -> Result<Outcome, Failure> {
     let spec = machine(arguments)?;
     let runs = runs(arguments, &spec)?;
     let Some(out) = &arguments.out else {
-        return Err(Failure::new(Code::Usage, "name the log to write: --out FILE"));
+        return Err(Failure::new(Code::Usage, "there is no log to write: name one with --out FILE"));
     };
     let out = Outputs::new(arguments.overwrite, arguments.plant.as_deref()).claim(out)?;
     write_log(&out, arguments, &spec, &runs)?;
@@ -157,7 +157,7 @@ pub fn read_plant(path: Option<&Path>) -> Result<MachineSpec, Failure> {
     let Some(path) = path else { return Ok(MachineSpec::default()) };
     let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
     if ElectricAxis::is_kind(&text) {
-        let what = "an electric axis; only `gap` works with one";
+        let what = "this is an electric axis; only `gap` works with one";
         return Err(Failure::configuration(path, what));
     }
     MachineSpec::from_toml(&text).map_err(|error| Failure::configuration(path, error))
@@ -355,7 +355,7 @@ pub fn write_log(
         }
         if !record.position.is_finite() {
             return Err(Failure::data(
-                "the simulation went out of bounds; check the plant file's values".to_owned(),
+                "the simulation went out of bounds; check the values of the plant file".to_owned(),
             ));
         }
         let time_ns = ((tick - skipped) as f64 * period_s * 1e9).round() as i64;

@@ -12,8 +12,8 @@ use crate::output::{Outputs, OverwriteArguments};
 use crate::progress::Steps;
 use crate::sink::terminal::print;
 
-/// Makes the source article's figures 2 and 5 to 9 again on the corrected plant, compares its ensemble with the program's, and
-/// finds the largest leak that the controller holds. Each figure says whether it agrees with the article, and where not, why.
+/// Makes figures 2 and 5 to 9 of the source article again on the corrected plant, compares its ensemble with that of this program, and
+/// finds the largest leak that the controller can hold. Each figure says whether it agrees with the article and, if not, why.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd study --out study.html\n  seepd study --out study.html --json | jq .holding.largest"
@@ -22,7 +22,7 @@ pub struct StudyArguments {
     /// Page to write
     #[arg(long, default_value = "study.html", value_name = "FILE")]
     out: PathBuf,
-    /// Print the figures' numbers as one JSON object
+    /// Print the numbers of the figures as one JSON object
     #[arg(long)]
     json: bool,
     /// Seed of machines, noise, trees and embeddings

@@ -27,17 +27,17 @@ use seepd_monitor::event::Flag;
 /// Time that a sink has for the test.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Sends a marked test alarm through each configured sink and tells which took it.
+/// Sends a marked test alarm through each configured sink and says which of them took it.
 ///
-/// MQTT: a message on PREFIX/AXIS/test that the broker must confirm. CAN: the configured frame with the flag severe and no
-/// estimate, which no real leak gives. Recording: a file with the test. HTTP: whether the port answers or is free.
+/// MQTT gets a message on PREFIX/AXIS/test that the broker must confirm; CAN the configured frame with the flag severe and no estimate,
+/// which no real leak gives; the recording a file with the test. For HTTP, the port must answer or be free.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd test-sinks --config /etc/seepd/seepd.toml")]
 pub struct TestSinksArguments {
-    /// Configuration
+    /// Configuration of the daemon
     #[arg(long, value_name = "FILE", default_value = "/etc/seepd/seepd.toml")]
     config: PathBuf,
-    /// Print a JSON line a sink
+    /// Print one line of JSON for each sink
     #[arg(long)]
     json: bool,
 }
@@ -59,7 +59,7 @@ pub fn run(arguments: &TestSinksArguments) -> Result<Outcome, Failure> {
     let config = DaemonConfig::read(&arguments.config)?;
     let verdicts = super::run::runtime()?.block_on(test_all(&config));
     if verdicts.is_empty() {
-        let message = format!("{}: configures no sink", arguments.config.display());
+        let message = format!("{}: no sink is configured", arguments.config.display());
         return Err(Failure::new(Code::Configuration, message));
     }
     let mut bad = 0;
@@ -74,7 +74,7 @@ pub fn run(arguments: &TestSinksArguments) -> Result<Outcome, Failure> {
         print(format!("{line}\n").as_bytes())?;
     }
     if bad > 0 {
-        Err(Failure::new(Code::Io, format!("{bad} sinks did not take the test")))
+        Err(Failure::new(Code::Io, format!("{bad} of the sinks did not take the test")))
     } else {
         Ok(Outcome::Good)
     }
@@ -105,7 +105,8 @@ async fn test_all(config: &DaemonConfig) -> Vec<SinkTest> {
 
 async fn test_mqtt(config: &MqttConfig, axis: &str) -> Result<String, String> {
     let hub = Hub::new("test".into());
-    let spool = PrivateFolder::make().map_err(|error| format!("a folder for the test: {error}"))?;
+    let spool =
+        PrivateFolder::make().map_err(|error| format!("no folder could be made for the test: {error}"))?;
     // A name of its own: a broker drops the older of two clients with one name, and that would be the daemon.
     let client_id = Some(format!("seepd-test-{}", std::process::id()));
     let config = MqttConfig { client_id, ..config.clone() };
@@ -129,7 +130,7 @@ async fn test_mqtt(config: &MqttConfig, axis: &str) -> Result<String, String> {
     let _ = timeout(PATIENCE, task).await;
     match confirmed {
         Ok(()) => Ok(format!("the broker confirmed {}/{axis}/{}", config.prefix, Kind::Test.name())),
-        Err(_) => Err(format!("nothing confirmed within {} s: {last}", PATIENCE.as_secs())),
+        Err(_) => Err(format!("the broker confirmed nothing within {} s: {last}", PATIENCE.as_secs())),
     }
 }
 
@@ -191,7 +192,7 @@ async fn test_http(config: &HttpConfig) -> Result<String, String> {
         Ok(_) => Ok(format!("{} is free for the daemon", config.listen)),
         Err(bound) => match tokio::net::TcpStream::connect(config.listen).await {
             Ok(_) => Ok(format!("{} answers", config.listen)),
-            Err(_) => Err(format!("opening {}: {bound}", config.listen)),
+            Err(_) => Err(format!("{} cannot be opened: {bound}", config.listen)),
         },
     }
 }

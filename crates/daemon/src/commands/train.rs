@@ -15,16 +15,17 @@ use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::Steps;
+use crate::quantity::mm2;
 use crate::sink::terminal::print;
 
 /// Trains a model on simulated machines and measures it on others.
 ///
-/// Machines differ by ± 5 % in their parameters and load; leak areas reach from 0 over 5e-9 to 1e-5 m². The same seed
-/// gives the same bytes.
+/// Machines differ by ± 5 % in their parameters and load; their leaks are 0, or between 0.005 and 10 mm². The same seed gives the
+/// same bytes.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd train --out model.json\n  seepd train --plant press-3.toml --out press-3.json --seed 2\n\n\
-                        The model that the program brings is rebuilt by\n  seepd train --out crates/daemon/assets/model.json"
+                        The embedded model is rebuilt by\n  seepd train --out crates/daemon/assets/model.json"
 )]
 pub struct TrainArguments {
     /// Model to write
@@ -57,11 +58,11 @@ pub struct TrainArguments {
     /// Simulated machines that calibrate intervals
     #[arg(long, default_value_t = TrainingSettings::default().calibrated_on, value_name = "N")]
     calibration: usize,
-    /// Measure more: estimates relative to a baseline on 8,192 machines instead of half of --held-out, and the article's experiment
-    /// with noise, with and without the filter
+    /// Measure more: estimates relative to a baseline on 8,192 machines instead of half of --held-out, and the article's experiment with
+    /// noise, with the filter and without it
     #[arg(long)]
     full: bool,
-    /// Machines' parameters differ within ± this share
+    /// Parameters of the machines differ within ± this share
     #[arg(long, default_value_t = Spread::default().parameters, value_name = "SHARE")]
     parameter_spread: f64,
     /// Loads differ within ± this share
@@ -217,7 +218,7 @@ fn print_report(out: &mut impl Write, arguments: &TrainArguments, trained: &Trai
     writeln!(
         out,
         "found in {} trials: {} learners, at least {} observations a leaf, {:.0} % of the features a split; \
-         out-of-bag RMS {:.4} in ln(area + 2e-8 m²)",
+         out-of-bag RMS {:.4} in ln(area + 0.02 mm²)",
         trained.found.trials,
         params.learners,
         params.least_leaf,
@@ -239,12 +240,12 @@ fn print_relative(out: &mut impl Write, report: &RelativeReport) -> io::Result<(
     writeln!(
         out,
         "{:>7} {:>5}  {:^26}  {:>8}  {:^32}  {:>11}  {:>6}",
-        "noise", "load", "median relative error", "above", "coverage of 90 %", "healthy sd", "new"
+        "noise", "load", "median error by mm²", "above", "coverage of 90 % by mm²", "healthy sd", "new"
     )?;
     writeln!(
         out,
         "{:>7} {:>5}  {:>8} {:>8} {:>8}  {:>8}  {:>7} {:>8} {:>7} {:>7}  {:>11}",
-        "", "", "5e-8…", "1e-7…", "1e-6…", "1 L/min", "all", "5e-8…", "1e-7…", "1e-6…", "m²"
+        "", "", "0.05…", "0.1…", "1…10", "1 L/min", "all", "0.05…", "0.1…", "1…10", "mm²"
     )?;
     for (known, accuracies) in [("no", &report.command), ("yes", &report.load)] {
         for accuracy in accuracies {
@@ -270,8 +271,8 @@ fn print_relative_line(out: &mut impl Write, known: &str, accuracy: &RelativeAcc
     }
     writeln!(
         out,
-        "  {:>11.2e}  {:>4.1} %",
-        accuracy.healthy_deviation_m2,
+        "  {:>11}  {:>4.1} %",
+        mm2(accuracy.healthy_deviation_m2),
         100.0 * accuracy.out_of_distribution
     )
 }
@@ -284,13 +285,13 @@ fn print_accuracy(out: &mut impl Write, report: &Report) -> io::Result<()> {
     )?;
     writeln!(
         out,
-        "{:>7} {:>9} {:>9}  {:^26}  {:>10}  {:>10}  {:>7}",
-        "noise", "R² area", "R² ln", "median relative error", "coverage", "largest at", "new"
+        "{:>7} {:>9} {:>9}  {:^26}  {:>10}  {:>11}  {:>7}",
+        "noise", "R² area", "R² ln", "median error by mm²", "coverage", "largest at", "new"
     )?;
     writeln!(
         out,
-        "{:>7} {:>9} {:>9}  {:>8} {:>8} {:>8}  {:>10}  {:>10}",
-        "", "", "", "5e-8…", "1e-7…", "1e-6…", "of 90 %", "leak 0, m²"
+        "{:>7} {:>9} {:>9}  {:>8} {:>8} {:>8}  {:>10}  {:>11}",
+        "", "", "", "0.05…", "0.1…", "1…10", "of 90 %", "leak 0, mm²"
     )?;
     for accuracy in &report.by_noise {
         print_accuracy_line(out, accuracy)?;
@@ -303,7 +304,7 @@ fn print_accuracy_line(out: &mut impl Write, accuracy: &Accuracy) -> io::Result<
         accuracy.decades.iter().map(|decade| 100.0 * decade.median_relative_error).collect();
     writeln!(
         out,
-        "{:>7} {:>9.5} {:>9.5}  {:>6.2} % {:>6.2} % {:>6.2} %  {:>8.1} %  {:>10.2e}  {:>5.1} %",
+        "{:>7} {:>9.5} {:>9.5}  {:>6.2} % {:>6.2} % {:>6.2} %  {:>8.1} %  {:>11}  {:>5.1} %",
         accuracy.noise,
         accuracy.r2_area,
         accuracy.r2_transformed,
@@ -311,7 +312,7 @@ fn print_accuracy_line(out: &mut impl Write, accuracy: &Accuracy) -> io::Result<
         errors[1],
         errors[2],
         100.0 * accuracy.coverage,
-        accuracy.largest_healthy_m2,
+        mm2(accuracy.largest_healthy_m2),
         100.0 * accuracy.out_of_distribution
     )
 }
@@ -321,7 +322,7 @@ fn print_noise_table(out: &mut impl Write, table: &[NoiseLine]) -> io::Result<()
     writeln!(
         out,
         "{:>7}  {:^33}  {:^50}",
-        "", "mean absolute error, m²", "largest change of a feature over its range"
+        "", "mean absolute error, mm²", "largest change of a feature over its range"
     )?;
     writeln!(
         out,
@@ -334,10 +335,10 @@ fn print_noise_table(out: &mut impl Write, table: &[NoiseLine]) -> io::Result<()
         };
         writeln!(
             out,
-            "{:>7}  {:>16.3e} {:>16.3e}  {:>24} {:>25}",
+            "{:>7}  {:>16} {:>16}  {:>24} {:>25}",
             line.noise,
-            line.mean_absolute_error_m2[0],
-            line.mean_absolute_error_m2[1],
+            mm2(line.mean_absolute_error_m2[0]),
+            mm2(line.mean_absolute_error_m2[1]),
             change(0),
             change(1)
         )?;

@@ -48,7 +48,7 @@ pub enum Scale {
     Linear,
     /// In proportion, without numbers: limits name the values.
     Named,
-    /// By its logarithm; values at or below the lower end stand on it.
+    /// By its logarithm; values below the lower end are drawn there.
     Logarithmic,
 }
 
@@ -271,7 +271,7 @@ impl Chart {
     }
 
     fn second_scale(&self, label: &str, factor: f64) -> Markup {
-        let (middle, x) = (0.5 * (TOP + self.foot()), self.size.width() - 8.0);
+        let (middle, x) = (0.5 * (TOP + self.foot()), self.size.width() - 14.0);
         let scaled = Axis { from: self.y.from * factor, to: self.y.to * factor, ..self.y.clone() };
         html! {
             @for tick in scaled.ticks() {

@@ -5,6 +5,7 @@ use maud::{Markup, html};
 use super::chart::{Axis, Chart, Layer};
 use super::flags::{self, colour};
 use super::page;
+use crate::quantity::bar;
 use seepd_monitor::alarm::AlarmConfig;
 use seepd_monitor::event::Flag;
 
@@ -66,28 +67,28 @@ pub struct DemoPage {
 impl DemoPage {
     /// The page's text.
     pub fn render(&self) -> String {
-        let mpa = self.reference_dp_pa / 1e6;
+        let reference_bar = bar(self.reference_dp_pa);
         let last = self.points.last();
         let body = html! {
-            h1 { "A piston seal wears; its valve command tells" }
+            h1 { "A piston seal wears, and the valve command shows it" }
             p {
                 "A simulated press ran " (self.points.len()) " duty cycles while its seal wore out. The monitor saw nothing but "
                 "the PID valve command in " code { (self.log) } ", with measurement noise of 0.001."
                 @if let Some(last) = last {
-                    " At the end it says " strong { (format!("{:.2} L/min", last.estimate_lpm)) } " at " (mpa)
-                    " MPa; the truth is " strong { (format!("{:.2} L/min", last.truth_lpm)) } ". Median error above the watch threshold: "
+                    " At the end it says " strong { (format!("{:.2} L/min", last.estimate_lpm)) } " at " (reference_bar)
+                    " bar; the truth is " strong { (format!("{:.2} L/min", last.truth_lpm)) } ". Median error above the watch threshold: "
                     strong { (format!("{:.1} %", 100.0 * self.median_error)) } "."
                 }
             }
-            h2 { "The command of a healthy and of the worn cycle" }
-            p.soft { "The controller fights the leak: in the holds the valve stays open, and strokes need more or less of it." }
+            h2 { "The command of a healthy and of a worn cycle" }
+            p.soft { "The controller makes up for the leak: during the holds the valve stays a little open, and the strokes need more or less of it." }
             (self.command_chart().render())
             h2 { "The leak, estimated and true" }
-            p.soft { "Flow of the leak's orifice at " (mpa) " MPa, on a logarithmic scale; the band holds the truth nine times in ten. "
-                "Values below the axis stand on it." }
+            p.soft { "Flow through the leak at " (reference_bar) " bar, on a logarithmic scale. The band is meant to hold the truth nine times in ten. "
+                "Values below the scale are drawn on its lower edge." }
             (self.leak_chart().render())
             h2 { "The flags" }
-            p.soft { "Flags rise after " (self.alarm.raise_cycles) " cycles in a row at or above a threshold. The delay counts from when the truth passed it." }
+            p.soft { "A flag rises after " (self.alarm.raise_cycles) " cycles in a row at or above its threshold. The delay is counted from the moment at which the truth passed the threshold." }
             (self.flag_chart().render())
             (self.change_table())
         };
@@ -164,7 +165,7 @@ impl DemoPage {
         html! {
             div.scroll { table {
                 thead { tr {
-                    th { "Flag" } th.number { "cycle" } th.number { "time, s" } th.number { "truth then, L/min" }
+                    th { "Flag" } th.number { "cycle" } th.number { "time, s" } th.number { "true leak then, L/min" }
                     th.number { "truth passed the threshold at, s" } th.number { "delay, cycles" }
                 } }
                 tbody { @for change in &self.changes { tr {

@@ -1,6 +1,7 @@
 //! The page that `seepd evaluate --html` leaves.
 
 use maud::{Markup, html};
+use seepd_model::accuracy::Judged;
 
 use super::chart::{Axis, Chart, Layer, Size};
 use super::page;
@@ -8,7 +9,9 @@ use crate::evaluation::Evaluation;
 use crate::evaluation::detection::Detection;
 use crate::evaluation::roc::Roc;
 use crate::evaluation::sizes::Sizes;
-use crate::sink::evaluation::{false_alarms, or_dash, percent};
+use crate::quantity::{MM2_PER_M2, bar, mm2};
+use crate::sink::evaluation::{decade_text, false_alarms, or_dash, percent};
+use crate::sink::terminal::listed;
 
 /// Most points of a cloud.
 const SHOWN: usize = 3000;
@@ -28,23 +31,23 @@ impl EvaluationPage<'_> {
         let Evaluation { conditions, machines, cycles, rejected, without_truth, .. } = self.evaluation;
         let body = html! {
             h1 { "Estimates and alarms beside the truth" }
-            p { (machines) " machines, " (cycles) " cycles. Flows at " (conditions.reference_dp_pa / 1e6) " MPa. A machine leaks from "
+            p { (machines) " machines, " (cycles) " cycles. Flows are given at " (bar(conditions.reference_dp_pa)) " bar. A machine counts as leaking from "
                 (conditions.onset_lpm) " L/min on." }
             @if !rejected.is_empty() {
-                p.soft { "Without an estimate: " @for (reason, count) in rejected { (reason.replace('_', " ")) " " (count) " " } }
+                p.soft { "Cycles without an estimate: " (listed(rejected)) "." }
             }
-            @if *without_truth > 0 { p.soft { (without_truth) " cycles have no truth beside them and are in none of the figures." } }
+            @if *without_truth > 0 { p.soft { (without_truth) " cycles have no known truth and are left out of all figures." } }
             h2 { "Sizes" }
-            p.soft { "Each point is a cycle; on the line the estimate is the truth. Values below the axes stand on them." }
+            p.soft { "Each point is a cycle; on the line the estimate equals the truth. Values below the scales are drawn on their edges." }
             div.grid-2 { @for sizes in &self.evaluation.sizes { (cloud(sizes)) } }
             @for sizes in &self.evaluation.sizes { (size_table(sizes)) }
             h2 { "Detection" }
             @for detection in &self.evaluation.detection { (self.detection(detection)) }
             h2 { "Receiver operating curves" }
             @if self.evaluation.roc.is_empty() {
-                p { "They need cycles with a leak and cycles without." }
+                p { "A curve needs cycles with a leak and cycles without one." }
             } @else {
-                p.soft { "What a threshold laid on a score would find of the cycles with a leak, and what it would take for leaks of those without." }
+                p.soft { "For every threshold of a score: the share of the cycles with a leak that it finds, against the share of the healthy cycles that it takes for leaks." }
                 (roc_chart(&self.evaluation.roc))
                 (roc_table(&self.evaluation.roc))
             }
@@ -101,15 +104,16 @@ fn delays(detection: &Detection, within: usize) -> Markup {
 
 fn cloud(sizes: &Sizes) -> Markup {
     let step = sizes.judged.len().div_ceil(SHOWN).max(1);
-    let points = sizes.judged.iter().step_by(step).map(|case| (case.truth_m2, case.estimate_m2)).collect();
-    let axis = |label: &str| Axis::logarithmic(label, 1e-9, 2e-5);
+    let in_mm2 = |case: &Judged| (case.truth_m2 * MM2_PER_M2, case.estimate_m2 * MM2_PER_M2);
+    let points = sizes.judged.iter().step_by(step).map(in_mm2).collect();
+    let axis = |label: &str| Axis::logarithmic(label, 1e-3, 20.0);
     Chart {
         size: Size::Half,
         layers: vec![
-            Layer::Line { class: "stroke-soft", points: vec![(1e-9, 1e-9), (2e-5, 2e-5)] },
+            Layer::Line { class: "stroke-soft", points: vec![(1e-3, 1e-3), (20.0, 20.0)] },
             Layer::Points { class: "dot-a", points },
         ],
-        ..Chart::new(sizes.method.name(), axis("truth, m²"), axis("estimate, m²"))
+        ..Chart::new(sizes.method.name(), axis("truth, mm²"), axis("estimate, mm²"))
     }
     .render()
 }
@@ -119,10 +123,10 @@ fn size_table(sizes: &Sizes) -> Markup {
     html! {
         h3 { "Sizes " (sizes.method.name()) }
         div.scroll { table {
-            thead { tr { th { "Leak, m²" } th.number { "cycles" } th.number { "median error" } th.number { "90 % interval holds" } } }
+            thead { tr { th { "Leak, mm²" } th.number { "cycles" } th.number { "median error" } th.number { "90 % interval holds" } } }
             tbody {
                 @for decade in &sizes.decades { tr {
-                    td { (format!("{:.0e} … {:.0e}", decade.from_m2, decade.to_m2)) } td.number { (decade.count) }
+                    td { (decade_text(decade)) } td.number { (decade.count) }
                     td.number { (percent(decade.median_relative_error, 2)) } td.number { (percent(decade.coverage, 1)) }
                 } }
                 tr { td { "none" } td.number { (healthy.cycles) } td.number { "" }
@@ -130,9 +134,9 @@ fn size_table(sizes: &Sizes) -> Markup {
             }
         } }
         p.soft { "R² of the area " (or_dash(sizes.r2_area, |value| format!("{value:.5}"))) ", mean error "
-            (or_dash(sizes.mean_absolute_error_m2, |value| format!("{value:.2e} m²"))) ", median error above " (sizes.large.from_lpm) " L/min "
+            (or_dash(sizes.mean_absolute_error_m2, |value| format!("{} mm²", mm2(value)))) ", median error above " (sizes.large.from_lpm) " L/min "
             (percent(sizes.large.median_relative_error, 2))
-            @if healthy.cycles > 0 { ", largest estimate without a leak " (format!("{:.2e} m²", healthy.largest_m2)) } "." }
+            @if healthy.cycles > 0 { ", largest estimate without a leak " (mm2(healthy.largest_m2)) " mm²" } "." }
     }
 }
 

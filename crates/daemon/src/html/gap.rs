@@ -5,10 +5,12 @@ use std::collections::BTreeMap;
 use maud::{Markup, html};
 use seepd_gap::Diagnosis;
 use seepd_gap::report::RankedEffect;
+use seepd_signals::Signal;
 use seepd_sim::PlantParameters;
 
-use super::chart::{Axis, Chart, Layer};
+use super::chart::{Axis, Chart, Layer, number};
 use super::page;
+use crate::quantity;
 use seepd_monitor::event::LPM_PER_M3_PER_S;
 
 /// What the page shows.
@@ -23,10 +25,10 @@ pub struct GapPage<'a> {
     pub plant: Option<&'a PlantParameters>,
 }
 
+/// Pressure difference at which leaks are given as flows, Pa.
+pub(crate) const REFERENCE_DP_PA: f64 = 7e6;
 /// Share of the cycle from which a phase's name has room in a plot.
 const SPAN_WITH_ROOM: f64 = 0.08;
-/// Pressure difference at which leaks are given as flows, Pa.
-const REFERENCE_DP_PA: f64 = 7e6;
 
 fn percent(value: f64) -> String {
     format!("{:.1} %", 100.0 * value)
@@ -37,19 +39,20 @@ impl GapPage<'_> {
     pub fn render(&self) -> String {
         let found = self.diagnosis;
         let body = html! {
-            h1 { "Simulator and machine: " (self.log) }
+            h1 { "Simulator and machine compared: " (self.log) }
             p { strong { (self.headline) } }
             @if found.cycles.used > 0 {
-                p.soft { (found.cycles.used) " cycles; fitted to " (found.cycles.fit) ", gaps measured on the other " (found.cycles.held_out)
-                    ". A gap is the RMS difference of log and simulation over the signal's range; the floor is what differs from cycle to cycle." }
+                p.soft { "Of " (found.cycles.used) " cycles, " (found.cycles.fit) " were fitted to; gaps are measured on the other " (found.cycles.held_out)
+                    ". A gap is the RMS difference between log and simulation, divided by the signal's range. The floor is what differs from cycle to cycle, \
+                    which no simulation can match. The parameters are calibrated first; what is left then is looked for among the effects." }
                 h2 { "How far the gap shrinks" }
                 (self.waterfall())
                 h2 { "Why" }
                 (self.ranking())
                 h2 { "Where" }
-                p.soft { "Shares of the imbalance that is left after calibration, by equation and phase of the duty cycle." }
+                p.soft { "Shares of the imbalance that is left after the calibration, by equation and phase of the duty cycle." }
                 (self.places())
-                h2 { "Log and simulations over a cycle" }
+                h2 { "Log and simulations over one cycle" }
                 @for index in 0..found.signals.len() { (self.overlay(index)) }
                 h2 { "The plant's own parameters, calibrated" }
                 (self.calibrated())
@@ -59,7 +62,7 @@ impl GapPage<'_> {
                 }
             }
             @if !found.distinguish.is_empty() {
-                h2 { "What this log cannot tell" }
+                h2 { "What this log cannot show" }
                 ul { @for line in &found.distinguish { li { (line) } } }
             }
             @if !found.notes.is_empty() {
@@ -67,7 +70,7 @@ impl GapPage<'_> {
                 ul { @for line in &found.notes { li { (line) } } }
             }
         };
-        page("Simulator and machine – seepd", &body)
+        page("Simulator and machine compared – seepd", &body)
     }
 
     /// Gap by signal: nominal, calibrated, chosen, floor.
@@ -86,8 +89,8 @@ impl GapPage<'_> {
         let largest = all.fold(1e-6, f64::max);
         let shrink = &self.diagnosis.shrink;
         html! {
-            p { "Calibration alone removes " (percent(shrink.calibration_only)) " of what can be removed, the chosen machine " (percent(shrink.of_removable))
-                " (" (percent(shrink.of_total)) " of the whole)." }
+            p { "Calibration alone removes " (percent(shrink.calibration_only)) " of the removable gap, the chosen machine " (percent(shrink.of_removable))
+                " (" (percent(shrink.of_total)) " of the whole gap)." }
             @if shrink.by_effect.len() > 1 { table.bars { tbody {
                 tr { td { "calibration" } td.number { (percent(shrink.calibration_only)) } td.grow { (bar(shrink.calibration_only, "var(--watch)")) } }
                 @for (effect, part) in &shrink.by_effect { tr {
@@ -114,15 +117,15 @@ impl GapPage<'_> {
                 @for finding in found.effects.iter().filter(named) { tr {
                     td { (finding.effect)
                         br; span.soft { (finding.law) }
-                        @if !finding.equivalent.is_empty() { br; span.soft { "looks the same in this log: " (finding.equivalent.join(", ")) } } }
+                        @if !finding.equivalent.is_empty() { br; span.soft { "cannot be told apart in this log: " (finding.equivalent.join(", ")) } } }
                     td.number { (percent(finding.probability)) }
                     td.narrow { (bar(finding.probability, "var(--a)")) }
-                    td { @for (name, value) in &finding.parameters { (name) " " (format!("{value:.4e}"))
-                        @if let Some([low, high]) = finding.interval95.get(name) { (format!(" ({low:.3e} … {high:.3e})")) } br; } }
+                    td { @for (name, value) in &finding.parameters { (name) " " (number(*value))
+                        @if let Some([low, high]) = finding.interval95.get(name) { " (" (number(*low)) " … " (number(*high)) ")" } br; } }
                     td.number { (percent(finding.shrink)) }
                 } }
                 tr { td { "none of these" } td.number { (percent(found.unknown_probability)) } td { (bar(found.unknown_probability, "var(--b)")) } td {} td {} }
-                tr { td { "no effect, other parameters at most" } td.number { (percent(found.no_effect_probability)) }
+                tr { td { "no effect, only other parameters" } td.number { (percent(found.no_effect_probability)) }
                     td { (bar(found.no_effect_probability, "var(--healthy)")) } td {} td {} }
             }
         } }
@@ -139,9 +142,14 @@ impl GapPage<'_> {
     fn overlay(&self, index: usize) -> Markup {
         let curves = &self.diagnosis.curves;
         let Some(recorded) = curves.recorded.get(index) else { return html! {} };
+        let signal = self.diagnosis.signals[index];
+        let (unit, factor) = shown_in(signal);
         let line = |values: &[f64], class| Layer::Line {
             class,
-            points: curves.t_s.iter().copied().zip(values.iter().copied()).collect(),
+            points: curves.t_s.iter().copied().zip(values.iter().map(|value| value * factor)).collect(),
+        };
+        let axis = |label: &str, values: &mut dyn Iterator<Item = &f64>| {
+            spanning(label, values.map(|value| value * factor).collect())
         };
         let less =
             |values: &Vec<f64>| -> Vec<f64> { values.iter().zip(recorded).map(|(a, b)| a - b).collect() };
@@ -159,13 +167,13 @@ impl GapPage<'_> {
                 name: if named(*from, *to) { (*name).into() } else { String::new() },
             })
         };
-        let signal = self.diagnosis.signals[index];
         let mut layers: Vec<Layer> = marks().collect();
         layers.extend([
             line(&nominal, "stroke-soft"),
             line(&chosen, "stroke-a dash"),
             line(recorded, "stroke-b"),
         ]);
+        let (label, difference) = (format!("{signal}, {unit}"), format!("difference, {unit}"));
         let together = Chart {
             layers,
             key: vec![
@@ -173,7 +181,7 @@ impl GapPage<'_> {
                 ("simulation, nominal".into(), "var(--soft)", false),
                 ("simulation, chosen".into(), "var(--a)", false),
             ],
-            ..Chart::new(signal, time(), spanning(signal, recorded.iter().chain(&nominal).chain(&chosen)))
+            ..Chart::new(signal, time(), axis(&label, &mut recorded.iter().chain(&nominal).chain(&chosen)))
         };
         let apart = Chart {
             layers: vec![
@@ -183,11 +191,11 @@ impl GapPage<'_> {
                 line(&differences[2], "stroke-a"),
             ],
             key: vec![
-                ("nominal less log".into(), "var(--soft)", false),
-                ("calibrated less log".into(), "var(--b)", false),
-                ("chosen less log".into(), "var(--a)", false),
+                ("nominal minus log".into(), "var(--soft)", false),
+                ("calibrated minus log".into(), "var(--b)", false),
+                ("chosen minus log".into(), "var(--a)", false),
             ],
-            ..Chart::new(signal, time(), spanning("difference", differences.iter().flatten()))
+            ..Chart::new(signal, time(), axis(&difference, &mut differences.iter().flatten()))
         };
         html! { h3 { (signal) } (together.render()) (apart.render()) }
     }
@@ -197,12 +205,12 @@ impl GapPage<'_> {
             thead { tr { th { "Parameter" } th.number { "plant file" } th.number { "calibrated" } th.number { "ratio" } th.number { "95 %" } } }
             tbody { @for (symbol, value) in &self.diagnosis.calibrated { tr {
                 td { (symbol) }
-                td.number { (format!("{:.4e}", value.nominal)) }
-                td.number { (format!("{:.4e}", value.fitted)) }
+                td.number { (number(value.nominal)) }
+                td.number { (number(value.fitted)) }
                 td.number { (format!("{:.3}", value.fitted / value.nominal)) }
                 td.number { (format!("{:.3} … {:.3}", value.interval95[0] / value.nominal, value.interval95[1] / value.nominal)) }
             } } }
-        } } p.soft { "Wide intervals are parameters that this log does not tell; with the relief valve always open Q_pump, p_prv and R_prv are one number." } }
+        } } p.soft { "Values are in the units of the plant file. A wide interval means that this log does not determine the parameter; while the relief valve is always open, only one combination of Q_pump, p_prv and R_prv is determined." } }
     }
 
     fn leak(&self, plant: &PlantParameters) -> Markup {
@@ -211,9 +219,9 @@ impl GapPage<'_> {
         let rows =
             [("plant file", leak.nominal_m2), ("calibrated", leak.calibrated_m2), ("chosen", leak.chosen_m2)];
         html! { table {
-            thead { tr { th { "By" } th.number { "area, m²" } th.number { "L/min at " (REFERENCE_DP_PA / 1e6) " MPa" } } }
+            thead { tr { th { "By" } th.number { "area, mm²" } th.number { "L/min at " (quantity::bar(REFERENCE_DP_PA)) " bar" } } }
             tbody { @for (name, area) in rows { tr {
-                td { (name) } td.number { (format!("{area:.3e}")) } td.number { (format!("{:.3}", lpm(area))) }
+                td { (name) } td.number { (quantity::mm2(area)) } td.number { (format!("{:.3}", lpm(area))) }
             } } }
         } }
     }
@@ -223,8 +231,19 @@ fn bar(share: f64, colour: &'static str) -> Markup {
     html! { span.bar style=(format!("--c:{colour};width:{:.1}%", 100.0 * share.clamp(0.0, 1.0))) {} }
 }
 
-fn spanning<'v>(label: &str, values: impl Iterator<Item = &'v f64> + Clone) -> Axis {
-    let finite = || values.clone().copied().filter(|value| value.is_finite());
+/// The unit in which a signal is drawn, and its size of the signal's SI unit.
+fn shown_in(signal: &str) -> (&'static str, f64) {
+    match Signal::from_name(signal) {
+        Some(Signal::PSupply | Signal::PInlet | Signal::PCap | Signal::PRod) => ("bar", quantity::BAR_PER_PA),
+        Some(Signal::Demand | Signal::Position) => ("mm", 1e3),
+        Some(Signal::Load) => ("kN", 1e-3),
+        _ => ("share of full", 1.0),
+    }
+}
+
+/// An axis that holds all finite values with a little room.
+fn spanning(label: &str, values: Vec<f64>) -> Axis {
+    let finite = || values.iter().copied().filter(|value| value.is_finite());
     let low = finite().fold(f64::INFINITY, f64::min);
     let high = finite().fold(f64::NEG_INFINITY, f64::max);
     let room = (0.06 * (high - low)).max(1e-12);

@@ -5,6 +5,7 @@ use maud::{Markup, html};
 use super::chart::{Axis, Chart, Layer, Size};
 use super::flags::{self, colour};
 use super::page;
+use crate::quantity::{MM2_PER_M2, bar, mm2, mm2_interval};
 use crate::sink::html::{Curves, HtmlSink, Point, Why};
 use seepd_monitor::alarm::{AlarmConfig, UNCONFIRMED};
 use seepd_monitor::baseline::Baseline;
@@ -52,8 +53,8 @@ impl ReportPage<'_> {
             @if let Some(curves) = self.record.curves() { (self.command(&curves)) }
             @if self.points().next().is_some() {
                 h2 { "The leak" }
-                p.soft { "Estimate of each cycle; the band holds the truth nine times in ten, on machines like those that the model was trained on. "
-                    "Flow at " (self.mpa()) " MPa on the left, the same leak's area on the right. Estimates below the axis stand on it." }
+                p.soft { "The estimate of each cycle. The band is meant to hold the truth nine times in ten, on machines like those that the model was trained on. "
+                    "On the left the flow at " (self.reference_bar()) " bar, on the right the area of the same leak. Estimates below the scale are drawn on its lower edge." }
                 (self.leak_chart().render())
             }
             @if let Some(why) = &self.record.why { (why_table(why)) }
@@ -64,8 +65,8 @@ impl ReportPage<'_> {
             (self.rejected())
             @if self.points().next().is_some() {
                 h2 { "The features" }
-                p.soft { "What the trees see of each cycle, over the cycle's number. A step in all of them at once is a change of the machine "
-                    "(valve, load, duty cycle) rather than wear." }
+                p.soft { "What the model sees of each cycle, by number of the cycle. A step in all of them at once points to a change of the machine "
+                    "(valve, load, duty cycle) rather than to wear." }
                 div.grid-3 { @for index in 0..self.record.feature_names.len() { (self.feature_chart(index).render()) } }
             }
             h2 { "The logs" }
@@ -74,8 +75,8 @@ impl ReportPage<'_> {
         page(&format!("{title} – seepd"), &body)
     }
 
-    fn mpa(&self) -> f64 {
-        self.summary.reference_dp_pa / 1e6
+    fn reference_bar(&self) -> f64 {
+        bar(self.summary.reference_dp_pa)
     }
 
     fn points(&self) -> impl Iterator<Item = &Point> + Clone {
@@ -94,13 +95,13 @@ impl ReportPage<'_> {
         let why = summary.reason.map(|reason| format!(": {}", reason.replace('_', " "))).unwrap_or_default();
         let text = match flag {
             Flag::NoEstimate if summary.reason == Some(UNCONFIRMED) => {
-                "There are too few estimates above a threshold in a row to raise a flag.".into()
+                "Too few estimates in a row lie above a threshold to raise a flag.".into()
             }
             Flag::NoEstimate => format!("There is no estimate{why}."),
-            Flag::Healthy => "No leak that matters.".into(),
-            Flag::Watch => "A leak to keep an eye on.".into(),
-            Flag::Leak => "A leak at which the seal's change is to be planned.".into(),
-            Flag::Severe => "A leak that the machine should not run with.".into(),
+            Flag::Healthy => "There is no leak that matters.".into(),
+            Flag::Watch => "There is a leak to keep an eye on.".into(),
+            Flag::Leak => "There is a leak: plan to replace the seal.".into(),
+            Flag::Severe => "There is a severe leak: the machine should not run with it.".into(),
         };
         html! {
             p {
@@ -117,9 +118,9 @@ impl ReportPage<'_> {
         html! {
             div.tiles {
                 @if let (Some(area), Some(flow), Some(loss)) = (summary.leak_area_m2, summary.leak_flow_lpm, summary.loss) {
-                    div { b { (format!("{flow:.2} L/min")) } span { "leak at " (self.mpa()) " MPa (median of the last cycles)" } }
-                    div { b { (format!("{area:.2e} m²")) } span { "the same as an area" } }
-                    div { b { (format!("{:.0} W", loss.leak_power_w)) } span { "hydraulic power lost, Δp · Q at " (self.mpa()) " MPa" } }
+                    div { b { (format!("{flow:.2} L/min")) } span { "leak at " (self.reference_bar()) " bar (median of the last cycles)" } }
+                    div { b { (mm2(area)) " mm²" } span { "area of the same leak" } }
+                    div { b { (format!("{:.0} W", loss.leak_power_w)) } span { "hydraulic power lost, Δp · Q at " (self.reference_bar()) " bar" } }
                     div { b { (format!("{:.0} kWh a year", loss.leak_energy_kwh_per_year)) }
                         span { "at " (self.operating_hours_per_year) " hours a year" } }
                 }
@@ -172,13 +173,13 @@ impl ReportPage<'_> {
             ..Chart::new(
                 "Difference of the valve command by time in the cycle",
                 time(),
-                Axis::linear("now less first cycles", -largest, largest),
+                Axis::linear("now minus first cycles", -largest, largest),
             )
         };
         html! {
             h2 { "The command, then and now" }
-            p.soft { @if let Some(name) = &self.record.drawn { "Cycles of the duty cycle " (name) ". " } "The controller fights the leak: in the holds the valve stays open, and strokes need more or less of it."
-                @if !curves.is_below { " No cycle of this record has an estimate " (below) "; the last cycles stand beside the first." } }
+            p.soft { @if let Some(name) = &self.record.drawn { "Drawn are cycles of the duty cycle " (name) ". " } "The controller makes up for the leak: during the holds the valve stays a little open, and the strokes need more or less of it."
+                @if !curves.is_below { " No cycle of this record has an estimate " (below) "; the last cycles are compared with the first ones." } }
             (both.render())
             (apart.render())
         }
@@ -227,7 +228,7 @@ impl ReportPage<'_> {
         }
         Chart {
             layers,
-            right: Some(("area, m²".into(), self.area_m2_per_lpm)),
+            right: Some(("area, mm²".into(), self.area_m2_per_lpm * MM2_PER_M2)),
             key,
             ..Chart::new(
                 "Leak by cycle",
@@ -245,17 +246,16 @@ impl ReportPage<'_> {
         };
         html! {
             h2 { "The baselines" }
-            p.soft { "What estimates are relative to: the healthy machine's own cycles. The newest counts; the older ones are the record." }
+            p.soft { "Estimates are relative to the healthy machine's own cycles. The newest baseline counts; the older ones are kept as a record." }
             div.scroll { table {
-                thead { tr { th { "Learned for" } th { "from" } th { "to" } th.number { "cycles" } th.number { "repeats within, m²" }
-                    th { "the model alone saw, m²" } th { "remarks" } } }
+                thead { tr { th { "Learned for" } th { "from" } th { "to" } th.number { "cycles" } th.number { "repeats within, mm²" }
+                    th { "estimate of the model alone, mm²" } th { "remarks" } } }
                 tbody { @for (name, baseline, newest) in rows() { tr {
                     td { @if !name.is_empty() { (name) ": " } (baseline.occasion) @if newest { " " b { "(in force)" } } }
                     td { (time_text(baseline.from_ns)) } td { (time_text(baseline.to_ns)) }
                     td.number { (baseline.cycles) @if baseline.left_out > 0 { " (" (baseline.left_out) " left out)" } }
-                    td.number { (format!("{:.1e}", baseline.residual_deviation_m2)) }
-                    td { (format!("{:.1e} ({:.1e} … {:.1e})", baseline.absolute_leak_area_m2,
-                        baseline.absolute_interval90_m2[0], baseline.absolute_interval90_m2[1])) }
+                    td.number { (mm2(baseline.residual_deviation_m2)) }
+                    td { (mm2(baseline.absolute_leak_area_m2)) " (" (mm2_interval(baseline.absolute_interval90_m2)) ")" }
                     td { (baseline.remarks.join("; ")) }
                 } } }
             } }
@@ -268,11 +268,11 @@ impl ReportPage<'_> {
         html! {
             p.soft { "A flag rises after " (self.alarm.raise_cycles) " cycles in a row at or above its threshold, and falls after "
                 (self.alarm.clear_cycles) " below " (self.alarm.clear_share * 100.0) " % of it." }
-            @if changes.is_empty() { p { "No flag was set: there was no cycle to base one on." } }
+            @if changes.is_empty() { p { "No flag was set, as there was no cycle to base one on." } }
             @else {
                 (flags::chart(self.cycle_axis("cycle"), &changes).render())
                 div.scroll { table {
-                    thead { tr { th { "Flag" } th { "before" } th.number { "cycle" } th { "time" } th.number { "s from the start" } th { "on what grounds" } } }
+                    thead { tr { th { "Flag" } th { "before" } th.number { "cycle" } th { "time" } th.number { "s from the start" } th { "reason" } } }
                     tbody { @for change in &self.record.changes { tr {
                         td { span.tag style=(format!("background:{}", colour(change.to))) { (change.to.name().replace('_', " ")) } }
                         td { (change.from.name().replace('_', " ")) }
@@ -349,7 +349,7 @@ impl ReportPage<'_> {
                 } } }
             } }
             @if !summary.samples_rejected.is_empty() {
-                p { "Samples that were not used as they are: "
+                p { "Samples that were left out or filled in: "
                     (summary.samples_rejected.iter().map(|(name, count)| format!("{count} {}", name.replace('_', " "))).collect::<Vec<_>>().join(", ")) "." }
             }
             @if self.record.points.stride() > 1 {
@@ -364,23 +364,23 @@ fn why_table(why: &Why) -> Markup {
     let (parts, unit, words) = match why {
         Why::Changes(parts) => (
             parts,
-            "contributes, m²",
-            "What each phase of the cycle, and the load, contributes to the last cycle's difference from the baseline; what load, oil and supply \
-             do cancels between them.",
+            "contribution, mm²",
+            "What each phase of the cycle, and the load, contributes to the last cycle's difference from the baseline. What load, oil and supply \
+             do to the phases cancels in the sum.",
         ),
         Why::Features(parts) => (
             parts,
-            "raises the estimate by the factor",
+            "multiplies the estimate by",
             "How the features of the last cycle move its estimate away from what the model expects of any machine.",
         ),
     };
     let told = |part: f64| match why {
-        Why::Changes(_) => format!("{part:+.2e}"),
+        Why::Changes(_) => mm2(part),
         Why::Features(_) => format!("{:.3}", part.exp()),
     };
     html! {
         h3 { "Where the last estimate comes from" }
-        p.soft { (words) @if parts.len() > PARTS_SHOWN { " The largest " (PARTS_SHOWN) " of " (parts.len()) "." } }
+        p.soft { (words) @if parts.len() > PARTS_SHOWN { " Shown are the " (PARTS_SHOWN) " largest of " (parts.len()) "." } }
         div.scroll { table {
             thead { tr { th { "Part" } th.number { (unit) } } }
             tbody { @for (name, part) in parts.iter().take(PARTS_SHOWN) { tr {
@@ -393,16 +393,18 @@ fn why_table(why: &Why) -> Markup {
 /// What a rejection's reason means, for people.
 fn meaning(reason: &str) -> &'static str {
     match reason {
-        "incomplete" => "begins before the log or ends after it, or a stroke is missing",
-        "gap" => "samples are missing",
-        "duplicate" => "the same cycle again",
-        "out_of_order" => "time went backwards within it",
-        "not_a_number" => "the command was not a number",
+        "incomplete" => "it begins before the log or ends after it, or a stroke is missing",
+        "gap" => "samples are missing in it",
+        "duplicate" => "the same cycle came once more",
+        "out_of_order" => "time went backwards in it",
+        "not_a_number" => "the command was no number",
         "out_of_range" => "the command lay outside of −1 … 1",
         "stuck" => "the command stood still while the machine had to move",
-        "unlike_baseline" => "differs from the baseline as no leak, load, oil or supply of the training does",
-        "unlike_training" => "like no machine that the model was trained on, and there is no baseline",
-        "wrong_rate" => "samples came at another rate than the model's",
+        "unlike_baseline" => {
+            "it differs from the baseline in a way that no leak, load, oil or supply of the training explains"
+        }
+        "unlike_training" => "it is like no machine that the model was trained on, and there is no baseline",
+        "wrong_rate" => "samples came at another rate than that of the model",
         _ => "",
     }
 }

@@ -6,10 +6,11 @@ use seepd_study::claims::Agreement;
 use seepd_study::cycles::REFERENCE_DP_PA;
 use seepd_study::ensemble::{Accuracy, LEARNERS, OBSERVATIONS};
 use seepd_study::features::{FIVE, FeatureCurve};
-use seepd_study::holding::{ACCURATE_WITHIN_M, ARTICLE_LPM};
+use seepd_study::holding::{ACCURATE_WITHIN_M, ARTICLE_LPM, Hold};
 
 use super::chart::{Axis, Chart, Layer, Size, number};
 use super::page;
+use crate::quantity::{MM2_PER_M2, bar, mm2};
 
 /// Curves of one figure from light to dark.
 const SHADES: [&str; 6] = ["shade-0", "shade-1", "shade-2", "shade-3", "shade-4", "shade-5"];
@@ -32,10 +33,10 @@ impl StudyPage<'_> {
     /// The page's text.
     pub fn render(&self) -> String {
         let body = html! {
-            h1 { "The article's figures again" }
+            h1 { "The article's figures, made again" }
             p { "The source article (" em { "Characterization of Leakage Fault in Hydraulic Cylinders Leading to Sustainable Maintenance Planning of Equipment" }
-                ") prints its equations with errors; this is what its experiments show on the plant with these corrected, at 1 kHz, with 10 s duty cycles and \
-                measurement noise of 0.001 on the command where nothing else is said. Each figure says whether it agrees with the text." }
+                ") prints its equations with errors. This page shows its experiments on the corrected plant, at 1 kHz, with duty cycles of 10 s and, unless stated \
+                otherwise, with measurement noise of 0.001 on the command. Each figure is marked with whether it agrees with the article's text." }
             h2 { "Figure 2: demand and load" }
             (self.verdict("figure 2"))
             div.grid-2 { (self.demand()) (self.load()) }
@@ -51,7 +52,7 @@ impl StudyPage<'_> {
             (self.feature_table())
             h2 { "Figures 8 and 9: noise, without and with the Kalman filter" }
             (self.verdict("figures 8 and 9"))
-            p.soft { "Change of each feature from its value at noise 0.001, in % of its range over the leaks, by leak area; the redder the noisier ("
+            p.soft { "Change of each feature from its value at noise 0.001, in % of its range over the leaks, by leak area. The redder a line, the larger the noise ("
                 (self.study.noise.noise.iter().skip(1).map(f64::to_string).collect::<Vec<_>>().join(", ")) "). Both figures have the same scales." }
             h3 { "Figure 8: without the filter" }
             div.grid-3 { @for index in 0..FIVE.len() { (self.noisy(index, &changes(&self.study.noise.without[index]))) } }
@@ -70,7 +71,7 @@ impl StudyPage<'_> {
             (corrections())
             p.soft { "Made by " code { "seepd study --seed " (self.study.seed) } "." }
         };
-        page("The article's figures again – seepd", &body)
+        page("The article's figures, made again – seepd", &body)
     }
 
     fn verdict(&self, figure: &str) -> Markup {
@@ -130,7 +131,7 @@ impl StudyPage<'_> {
                 .iter()
                 .enumerate()
                 .map(|(index, curve)| {
-                    (format!("{} m²", number(curve.leak_area_m2)), shade_colour(index), false)
+                    (format!("{} mm²", number(curve.leak_area_m2 * MM2_PER_M2)), shade_colour(index), false)
                 })
                 .collect(),
             ..Chart::new("Valve command by time", self.time(), Axis::linear("valve command", -limit, limit))
@@ -139,13 +140,14 @@ impl StudyPage<'_> {
     }
 
     fn area(&self) -> Axis {
-        Axis::logarithmic("leak area, m²", seepd_study::AREAS_M2.0, seepd_study::AREAS_M2.1)
+        let (least_m2, most_m2) = seepd_study::AREAS_M2;
+        Axis::logarithmic("leak area, mm²", least_m2 * MM2_PER_M2, most_m2 * MM2_PER_M2)
     }
 
     fn leak_rates(&self) -> Markup {
         let rates = &self.study.leak_rates;
         let line = |pick: &dyn Fn(&seepd_study::cycles::LeakRate) -> f64| {
-            rates.iter().map(|rate| (rate.leak_area_m2, pick(rate))).collect()
+            rates.iter().map(|rate| (rate.leak_area_m2 * MM2_PER_M2, pick(rate))).collect()
         };
         Chart {
             layers: vec![
@@ -161,7 +163,7 @@ impl StudyPage<'_> {
             key: vec![
                 ("mean over a cycle".into(), "var(--a)", false),
                 ("peak".into(), "var(--b)", false),
-                (format!("orifice at {} MPa", REFERENCE_DP_PA / 1e6), "var(--soft)", false),
+                (format!("orifice at {} bar", bar(REFERENCE_DP_PA)), "var(--soft)", false),
             ],
             ..Chart::new("Leak rate by area", self.area(), Axis::logarithmic("leak, L/min", 0.1, 100.0))
         }
@@ -169,12 +171,12 @@ impl StudyPage<'_> {
     }
 
     fn feature(&self, curve: &FeatureCurve) -> Markup {
-        let areas = &self.study.features.leak_area_m2;
+        let areas = in_mm2(&self.study.features.leak_area_m2);
         Chart {
             size: Size::Small,
             layers: vec![Layer::Points {
                 class: "dot-a",
-                points: areas.iter().copied().zip(curve.values.iter().copied()).collect(),
+                points: areas.into_iter().zip(curve.values.iter().copied()).collect(),
             }],
             ..Chart::new(&curve.name.replace('_', " "), self.area(), spanning(curve.values.iter().copied()))
         }
@@ -183,7 +185,7 @@ impl StudyPage<'_> {
 
     fn feature_table(&self) -> Markup {
         html! { div.scroll { table {
-            thead { tr { th { "Feature" } th.number { "at 5e-8 m²" } th.number { "at 1e-5 m²" } th.number { "rank correlation" } th.number { "net share of its way" } } }
+            thead { tr { th { "Feature" } th.number { "at 0.05 mm²" } th.number { "at 10 mm²" } th.number { "rank correlation" } th.number { "net share of its way" } } }
             tbody { @for curve in &self.study.features.curves { tr {
                 td { (curve.name.replace('_', " ")) }
                 td.number { (curve.values.first().map_or(String::new(), |value| format!("{value:.4}"))) }
@@ -191,11 +193,11 @@ impl StudyPage<'_> {
                 td.number { (format!("{:.3}", curve.rank_correlation)) }
                 td.number { (format!("{:.0} %", 100.0 * curve.net_share)) }
             } } }
-        } } p.soft { "A curve that only rises or only falls has a rank correlation (Spearman) of ±1, and its net way is all of its way." } }
+        } } p.soft { "A curve that only rises or only falls has a rank correlation (Spearman) of ±1, and a net share of its way of 100 %: it never turns back." } }
     }
 
     fn noisy(&self, index: usize, levels: &[Vec<f64>]) -> Markup {
-        let areas = &self.study.noise.leak_area_m2;
+        let areas = in_mm2(&self.study.noise.leak_area_m2);
         let line = |(level, values): (usize, &Vec<f64>)| Layer::Line {
             class: SHADES[(level + 2).min(5)],
             points: areas.iter().copied().zip(values.iter().copied()).collect(),
@@ -228,7 +230,7 @@ impl StudyPage<'_> {
     fn error_by_noise(&self) -> Markup {
         let of = |list: &[Accuracy]| -> Vec<(f64, f64)> {
             let own = list.iter().filter(|line| line.ensemble == "article" && line.machines == "press");
-            own.map(|line| (line.noise, line.mean_absolute_error_m2)).collect()
+            own.map(|line| (line.noise, line.mean_absolute_error_m2 * MM2_PER_M2)).collect()
         };
         let without = of(&self.study.ensembles.article_unfiltered);
         let with = of(&self.study.ensembles.accuracy);
@@ -245,7 +247,7 @@ impl StudyPage<'_> {
             ..Chart::new(
                 "Error of the article's ensemble by noise",
                 Axis::linear("noise of the command", 0.0, 0.0105),
-                Axis::linear("mean absolute error, m²", 0.0, 1.1 * highest),
+                Axis::linear("mean absolute error, mm²", 0.0, 1.1 * highest),
             )
         }
         .render()
@@ -261,23 +263,24 @@ impl StudyPage<'_> {
             _ => "others, ±\u{a0}5\u{a0}%",
         };
         html! { div.scroll { table {
-            thead { tr { th { "Ensemble" } th { "on" } th.number { "noise" } th.number { "R²" } th.number { "mean error, m²" }
-                th.number { "median error 5e-8…" } th.number { "1e-7…" } th.number { "1e-6…1e-5 m²" } } }
+            thead { tr { th { "Ensemble" } th { "on" } th.number { "noise" } th.number { "R²" } th.number { "mean error, mm²" }
+                th.number { "median error 0.05…0.1" } th.number { "0.1…1" } th.number { "1…10 mm²" } } }
             tbody { @for line in &self.study.ensembles.accuracy { tr {
                 td { (name(line)) }
                 td { (machines(line)) }
                 td.number { (line.noise) }
                 td.number { (format!("{:.5}", line.r2)) }
-                td.number { (format!("{:.2e}", line.mean_absolute_error_m2)) }
+                td.number { (mm2(line.mean_absolute_error_m2)) }
                 @for error in line.median_relative_error { td.number { (format!("{:.2} %", 100.0 * error)) } }
             } } }
-        } } p.soft { "Leaks spread evenly over the decades, " (self.study.ensembles.accuracy.first().map_or(0, |line| line.count)) " machines each, Kalman filter. The \
-            article's ensemble has " (FIVE.len()) " features and " (LEARNERS) " learners and learned from " (OBSERVATIONS) " observations on areas spread evenly over the range, at noise 0.001." } }
+        } } p.soft { "Leaks are spread evenly over the decades, on " (self.study.ensembles.accuracy.first().map_or(0, |line| line.count)) " machines each, with the Kalman filter. The \
+            article's ensemble has " (FIVE.len()) " features and " (LEARNERS) " learners, and learned from " (OBSERVATIONS) " observations whose areas are spread evenly over the range, at noise 0.001." } }
     }
 
     fn holding(&self) -> Markup {
         let holding = &self.study.holding;
-        let points = holding.sweep.iter().map(|hold| (hold.leak_area_m2, 1e3 * hold.added_error_m)).collect();
+        let area = |hold: &Hold| hold.leak_area_m2 * MM2_PER_M2;
+        let points = holding.sweep.iter().map(|hold| (area(hold), 1e3 * hold.added_error_m)).collect();
         let (first, last) = (&holding.sweep[0], &holding.sweep[holding.sweep.len() - 1]);
         Chart {
             layers: vec![
@@ -286,15 +289,19 @@ impl StudyPage<'_> {
                     name: format!("{} mm", 1e3 * ACCURATE_WITHIN_M),
                     colour: "var(--watch)",
                 },
-                Layer::Mark { at: holding.article.leak_area_m2, name: format!("{ARTICLE_LPM} L/min") },
-                Layer::Mark { at: holding.accurate.leak_area_m2, name: "1 mm off".into() },
-                Layer::Mark { at: holding.in_control.leak_area_m2, name: "command at its limit".into() },
+                Layer::Mark { at: area(&holding.article), name: format!("{ARTICLE_LPM} L/min") },
+                Layer::Mark { at: area(&holding.accurate), name: "1 mm off".into() },
+                Layer::Mark { at: area(&holding.in_control), name: "command at its limit".into() },
                 Layer::Line { class: "stroke-a", points },
             ],
-            key: vec![("farther from the demand than without a leak, worst hold".into(), "var(--a)", false)],
+            key: vec![(
+                "how much farther from the demand than without a leak, in the worst hold".into(),
+                "var(--a)",
+                false,
+            )],
             ..Chart::new(
                 "Error at the holds' ends by leak area",
-                Axis::logarithmic("leak area, m²", first.leak_area_m2, last.leak_area_m2),
+                Axis::logarithmic("leak area, mm²", area(first), area(last)),
                 Axis::logarithmic("mm", 0.1, 500.0),
             )
         }
@@ -309,11 +316,11 @@ impl StudyPage<'_> {
             ("command within its range", &holding.in_control),
         ];
         html! { div.scroll { table {
-            thead { tr { th { "Up to" } th.number { "area, m²" } th.number { "L/min at " (REFERENCE_DP_PA / 1e6) " MPa" } th.number { "L/min in the holds" }
-                th.number { "farther off, mm" } th.number { "largest command" } } }
+            thead { tr { th { "Up to" } th.number { "area, mm²" } th.number { "L/min at " (bar(REFERENCE_DP_PA)) " bar" } th.number { "L/min in the holds" }
+                th.number { "added error, mm" } th.number { "largest command" } } }
             tbody { @for (name, hold) in rows { tr {
                 td { (name) }
-                td.number { (format!("{:.3e}", hold.leak_area_m2)) }
+                td.number { (mm2(hold.leak_area_m2)) }
                 td.number { (format!("{:.2}", hold.orifice_lpm)) }
                 td.number { (format!("{:.2}", hold.flow_lpm)) }
                 td.number { (format!("{:.2}", 1e3 * hold.added_error_m)) }
@@ -334,6 +341,10 @@ fn changes(levels: &[Vec<f64>]) -> Vec<Vec<f64>> {
     levels.iter().skip(1).map(change).collect()
 }
 
+fn in_mm2(areas_m2: &[f64]) -> Vec<f64> {
+    areas_m2.iter().map(|area_m2| area_m2 * MM2_PER_M2).collect()
+}
+
 fn shade_colour(index: usize) -> &'static str {
     ["var(--s0)", "var(--s1)", "var(--s2)", "var(--s3)", "var(--s4)", "var(--s5)"][index.min(5)]
 }
@@ -350,12 +361,12 @@ fn corrections() -> Markup {
     html! { ol {
         li { "Equations (2), (3): the rod chamber's flow is printed as k_v √(2(P₂ − P₁)/ρ); it goes to the return line, P₂ → P_r." }
         li { "Equation (3): printed with −(A_p − A_rod) v_p; the rod chamber is compressed on extension, + (A_p − A_rod) v_p." }
-        li { "Equations (1) to (5) know extension only; retraction is added by the symmetry of the 4/3 valve." }
+        li { "Equations (1) to (5) describe extension only; retraction follows from the symmetry of the 4/3 valve." }
         li { "The chambers' volumes are printed as one constant; they depend on the position." }
         li { "Equation (1): P_prv, a pressure, stands where the relief valve's flow belongs." }
-        li { "The square roots have no sign and an infinite slope at 0; they are linear below 0.2 MPa here." }
+        li { "The square roots have no sign, and an infinite slope at 0; they are linear below 2 bar here." }
         li { "Equations (3) and (4) give one R_vlv to two paths; they are two parameters here." }
-        li { "The text's maximum leakage of 0.6 L/min does not go with areas up to 1e-5 m²; area and flow at a stated pressure difference are always given together." }
+        li { "The text's maximum leakage of 0.6 L/min does not fit areas up to 10 mm²; area and flow at a stated pressure difference are always given together." }
         li { "Q = 0.001 and R = 5 give a steady Kalman gain of 0.014, a low-pass of 70 ms at 1 kHz, which also delays the signal." }
     } }
 }

@@ -2,10 +2,14 @@
 
 use std::io::{self, Write};
 
+use seepd_model::accuracy::Decade;
+
 use crate::evaluation::Evaluation;
 use crate::evaluation::detection::Detection;
 use crate::evaluation::roc::Roc;
 use crate::evaluation::sizes::Sizes;
+use crate::html::chart::number;
+use crate::quantity::{MM2_PER_M2, bar, mm2};
 use crate::sink::terminal::listed;
 
 /// A share in per cent; a dash where there is none.
@@ -24,7 +28,7 @@ pub(crate) fn or_dash(value: f64, text: impl FnOnce(f64) -> String) -> String {
 /// Writing failed.
 pub fn write_tables(out: &mut impl Write, evaluation: &Evaluation) -> io::Result<()> {
     let Evaluation { conditions, machines, cycles, rejected, .. } = evaluation;
-    writeln!(out, "{machines} machines, {cycles} cycles; flows at {} MPa", conditions.reference_dp_pa / 1e6)?;
+    writeln!(out, "{machines} machines, {cycles} cycles; flows at {} bar", bar(conditions.reference_dp_pa))?;
     if !rejected.is_empty() {
         writeln!(out, "without an estimate: {}", listed(rejected))?;
     }
@@ -40,11 +44,21 @@ pub fn write_tables(out: &mut impl Write, evaluation: &Evaluation) -> io::Result
     Ok(())
 }
 
+/// A decade's ends in mm², without their unit.
+pub(crate) fn decade_text(decade: &Decade) -> String {
+    let [from, to] = [decade.from_m2, decade.to_m2].map(|area_m2| number(area_m2 * MM2_PER_M2));
+    format!("{from} … {to}")
+}
+
 fn write_sizes(out: &mut impl Write, sizes: &Sizes) -> io::Result<()> {
     writeln!(out, "\nSizes, {}:", sizes.method.name())?;
-    writeln!(out, "{:>16} {:>8} {:>14} {:>18}", "leak, m²", "cycles", "median error", "90 % interval holds")?;
+    writeln!(
+        out,
+        "{:>16} {:>8} {:>14} {:>18}",
+        "leak, mm²", "cycles", "median error", "90 % interval holds"
+    )?;
     for decade in &sizes.decades {
-        let range = format!("{:.0e} … {:.0e}", decade.from_m2, decade.to_m2);
+        let range = decade_text(decade);
         let error = percent(decade.median_relative_error, 2);
         writeln!(out, "{range:>16} {:>8} {error:>14} {:>18}", decade.count, percent(decade.coverage, 1))?;
     }
@@ -53,12 +67,12 @@ fn write_sizes(out: &mut impl Write, sizes: &Sizes) -> io::Result<()> {
     writeln!(out, "{:>16} {:>8} {:>14} {held:>18}", "none", healthy.cycles, "")?;
     writeln!(
         out,
-        "R² of the area {}, mean error {} m², median error above {} L/min {}, largest estimate without a leak {} m²",
+        "R² of the area {}, mean error {}, median error above {} L/min {}, largest estimate without a leak {}",
         or_dash(sizes.r2_area, |value| format!("{value:.5}")),
-        or_dash(sizes.mean_absolute_error_m2, |value| format!("{value:.2e}")),
+        or_dash(sizes.mean_absolute_error_m2, |value| format!("{} mm²", mm2(value))),
         sizes.large.from_lpm,
         percent(sizes.large.median_relative_error, 2),
-        if healthy.cycles > 0 { format!("{:.2e}", healthy.largest_m2) } else { "–".into() },
+        if healthy.cycles > 0 { format!("{} mm²", mm2(healthy.largest_m2)) } else { "–".into() },
     )
 }
 

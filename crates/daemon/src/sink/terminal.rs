@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use crate::failure::Failure;
+use crate::quantity::{bar, mm2, mm2_interval};
 use crate::sink::plain;
 use seepd_monitor::alarm::UNCONFIRMED;
 use seepd_monitor::event::{CycleLine, Event, Flag, FlagEvent, Summary};
@@ -70,13 +71,13 @@ pub(super) const COLOURS: [&str; 6] = [RESET, DIM, GREEN, YELLOW, RED, BOLD_RED]
 pub fn write_header(out: &mut impl Write, reference_dp_pa: f64) -> io::Result<()> {
     writeln!(
         out,
-        "{:>6} {:>10}  {:>11} {:>23}  {:>8}  flag   (L/min at {} MPa)",
+        "{:>6} {:>10}  {:>8} {:>10} {:>19}  flag   (L/min at {} bar)",
         "cycle",
         "start s",
-        "leak m²",
-        "90 % interval m²",
         "L/min",
-        reference_dp_pa / 1e6
+        "leak mm²",
+        "90 % interval mm²",
+        bar(reference_dp_pa)
     )
 }
 
@@ -95,15 +96,14 @@ pub fn write_event(out: &mut impl Write, event: &Event<'_>, colour: Colour) -> i
 fn write_cycle(out: &mut impl Write, line: &CycleLine<'_>, colour: Colour) -> io::Result<()> {
     write!(out, "{:>6} {:>10.3}  ", line.cycle, line.t_start_s)?;
     match (line.leak_area_m2, line.interval90_m2, line.leak_flow_lpm) {
-        (Some(area), Some([low, high]), Some(flow)) => {
-            let interval = format!("{low:.2e} … {high:.2e}");
-            write!(out, "{area:>11.3e} {interval:>23}  {flow:>8.3}  ")?;
+        (Some(area), Some(interval), Some(flow)) => {
+            write!(out, "{flow:>8.3} {:>10} {:>19}  ", mm2(area), mm2_interval(interval))?;
         }
-        _ => write!(out, "{:>11} {:>23}  {:>8}  ", "–", "–", "–")?,
+        _ => write!(out, "{:>8} {:>10} {:>19}  ", "–", "–", "–")?,
     }
-    write!(out, "{}", colour.paint(line.flag, line.flag.name()))?;
+    write!(out, "{}", colour.paint(line.flag, &words(line.flag.name())))?;
     match line.reason {
-        Some(reason) => writeln!(out, " ({reason})"),
+        Some(reason) => writeln!(out, " ({})", words(reason)),
         None => writeln!(out),
     }
 }
@@ -114,8 +114,8 @@ fn write_flag(out: &mut impl Write, event: &FlagEvent<'_>, colour: Colour) -> io
         "{:>6} {:>10.3}  {} → {}: {}",
         "▸",
         event.t_s,
-        event.flag_from.name(),
-        colour.paint(event.flag_to, event.flag_to.name()),
+        words(event.flag_from.name()),
+        colour.paint(event.flag_to, &words(event.flag_to.name())),
         event.text
     )
 }
@@ -131,7 +131,7 @@ pub fn write_summary(out: &mut impl Write, summary: &Summary, colour: Colour) ->
         out,
         "{}: {} – {} cycles in {:.1} s",
         summary.axis,
-        colour.paint(summary.flag, summary.flag.name()),
+        colour.paint(summary.flag, &words(summary.flag.name())),
         summary.cycles,
         summary.duration_s
     )?;
@@ -139,22 +139,25 @@ pub fn write_summary(out: &mut impl Write, summary: &Summary, colour: Colour) ->
         write!(out, ", {rejected} rejected ({})", listed(&summary.rejected))?;
     }
     match summary.reason {
-        Some(UNCONFIRMED) => write!(out, "; too few estimates above a threshold in a row to raise a flag")?,
-        Some(reason) => write!(out, "; no estimate: {reason}")?,
+        Some(UNCONFIRMED) => {
+            write!(out, "; too few estimates in a row lie above a threshold to raise a flag")?
+        }
+        Some(reason) => write!(out, "; no estimate: {}", words(reason))?,
         None => {}
     }
     writeln!(out)?;
     if let (Some(area), Some(flow)) = (summary.leak_area_m2, summary.leak_flow_lpm) {
         writeln!(
             out,
-            "leak: {area:.3e} m², {flow:.3} L/min at {} MPa (median of the last cycles); highest flag {}",
-            summary.reference_dp_pa / 1e6,
-            summary.highest_flag.name()
+            "leak: {flow:.3} L/min at {} bar, {} mm² (median of the last cycles); highest flag: {}",
+            bar(summary.reference_dp_pa),
+            mm2(area),
+            words(summary.highest_flag.name())
         )?;
     }
     if let Some(loss) = &summary.loss {
         let (power, energy) = (loss.leak_power_w, loss.leak_energy_kwh_per_year);
-        writeln!(out, "lost: {power:.1} W, {energy:.0} kWh a year")?;
+        writeln!(out, "lost: {power:.1} W, or {energy:.0} kWh a year")?;
     }
     if !summary.samples_rejected.is_empty() {
         writeln!(out, "samples: {} read; {}", summary.samples, listed(&summary.samples_rejected))?;
@@ -162,7 +165,12 @@ pub fn write_summary(out: &mut impl Write, summary: &Summary, colour: Colour) ->
     Ok(())
 }
 
-/// Counts with their names, in a line.
+/// A name of the formats as a person reads it: `out_of_range` is `out of range`.
+fn words(name: &str) -> String {
+    name.replace('_', " ")
+}
+
+/// Counts with their names in words, in a line.
 pub(crate) fn listed(counts: &std::collections::BTreeMap<&'static str, u64>) -> String {
-    counts.iter().map(|(name, count)| format!("{count} {name}")).collect::<Vec<_>>().join(", ")
+    counts.iter().map(|(name, count)| format!("{count} {}", words(name))).collect::<Vec<_>>().join(", ")
 }

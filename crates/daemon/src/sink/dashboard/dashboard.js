@@ -4,7 +4,7 @@ const byId = (id) => document.getElementById(id);
 const LIVE_S = 30;
 const FLAGS = { no_estimate: "no estimate", healthy: "healthy", watch: "watch", leak: "leak", severe: "severe" };
 const REASONS = {
-  no_cycle_yet: "no complete cycle yet", unconfirmed: "too few estimates above a threshold in a row", stale: "no command comes", stuck: "the command stands still",
+  no_cycle_yet: "no complete cycle yet", unconfirmed: "too few estimates in a row above a threshold", stale: "no command arrives", stuck: "the command stands still",
   no_cycle_found: "no duty cycle is found in the command", wrong_rate: "the command comes at another rate than the model's",
   unusable_configuration: "this axis cannot be started",
 };
@@ -94,36 +94,36 @@ function show(overview) {
   rows(byId("sinks"), overview.sinks.length ? overview.sinks.map((sink) => {
     const counts = sink.sent + " sent, " + sink.waiting + " waiting, " + sink.dropped + " dropped";
     return [sink.name, sink.detail + " · " + counts, !sink.good];
-  }) : [["none", "configured"]]);
+  }) : [["none", "no sink is configured"]]);
   document.title = FLAGS[axis.flag] + " · " + axis.axis + " · seepd";
   byId("footer").textContent = "seepd " + overview.version + " · run " + overview.run + " · " +
-    (overview.time || "this gateway's clock is not set");
+    (overview.time || "the clock of this gateway is not set");
 }
 
 function showCondition(axis) {
   byId("condition").style.setProperty("--state", "var(--" + axis.flag + ")");
   byId("flag").textContent = FLAGS[axis.flag];
-  byId("reason").textContent = axis.reason ? told(axis.reason) : axis.cycles + " cycles";
+  byId("reason").textContent = axis.reason ? told(axis.reason) : axis.cycles + " cycles with an estimate";
   const known = axis.flag !== "no_estimate";
   byId("flow").textContent = known ? number(axis.leak_flow_lpm) : "–";
   const low = flowOf(axis, axis.interval90_m2 ? axis.interval90_m2[0] : null);
   const high = flowOf(axis, axis.interval90_m2 ? axis.interval90_m2[1] : null);
   byId("interval").textContent = known && axis.interval90_m2
-    ? number(low) + " … " + number(high) + " L/min at " + axis.reference_dp_pa / 1e6 + " MPa, " + axis.leak_area_m2.toExponential(2) + " m²; "
+    ? number(low) + " … " + number(high) + " L/min at " + axis.reference_dp_pa / 1e5 + " bar; area " + number(axis.leak_area_m2 * 1e6) + " mm²; "
       + number(axis.leak_power_w) + " W, " + Math.round(axis.leak_energy_kwh_per_year) + " kWh a year"
     : axis.leak_flow_lpm === null ? "" : "last known " + number(axis.leak_flow_lpm) + " L/min";
   const latched = axis.latched && !axis.acknowledged;
   byId("latched").textContent = axis.latched
-    ? "was up to: " + FLAGS[axis.latched] + (axis.acknowledged ? ", acknowledged" : ", not acknowledged") : "";
+    ? "highest flag: " + FLAGS[axis.latched] + (axis.acknowledged ? " (acknowledged)" : " (not acknowledged)") : "";
   byId("acknowledge").hidden = !latched;
   showBaseline(axis);
 }
 
-const FINDINGS = { none: "as it was", leak: "more leakage than then", improved: "less leakage than then: learn a new baseline" };
+const FINDINGS = { none: "no change", leak: "more leakage than then", improved: "less leakage than then; learn a new baseline" };
 
 const baselineText = ({ learned_cycles: cycles, occasion, learning }) =>
   learning ? "learning the healthy machine: " + learning[0] + " of " + learning[1] + " cycles"
-    : cycles ? "against the baseline of " + cycles + " cycles (" + occasion + ")" : "no baseline: the model's own estimate";
+    : cycles ? "relative to the baseline of " + cycles + " cycles (" + occasion + ")" : "no baseline: the estimate is that of the model alone";
 
 // Seconds as a person says them.
 function span(seconds) {
@@ -139,7 +139,7 @@ function showBaseline(axis) {
     : baselineText(axis.baseline) + (axis.baseline.learned_cycles ? ": " + FINDINGS[axis.finding] : "");
   const range = axis.time_to_leak_range_s;
   byId("projection").textContent = axis.time_to_leak_s === null || axis.time_to_leak_s === 0 ? ""
-    : "“leak” in about " + span(axis.time_to_leak_s) + " (" + span(range[0]) + " … " + span(range[1]) + ")";
+    : "flag “leak” expected in about " + span(axis.time_to_leak_s) + " (" + span(range[0]) + " … " + span(range[1]) + ")";
   byId("renew").hidden = !axis.baseline.learned_cycles || Boolean(axis.baseline.learning);
 }
 
@@ -193,7 +193,7 @@ function eventItem(event) {
   const what = {
     "seepd.event/1": () => FLAGS[event.flag_from] + " → " + FLAGS[event.flag_to] + " (" + event.text + ")",
     "seepd.notice/1": () => event.text,
-    "seepd.acknowledged/1": () => "acknowledged " + (event.latched ? FLAGS[event.latched] : ""),
+    "seepd.acknowledged/1": () => "acknowledged" + (event.latched ? ": " + FLAGS[event.latched] : ""),
     "seepd.test/1": () => "test alarm",
   }[event.schema];
   item.textContent = time + " · " + event.axis + " · " + (what ? what() : event.schema);
@@ -331,7 +331,7 @@ async function order(word) {
 
 byId("acknowledge").addEventListener("click", () => order("acknowledge"));
 byId("renew").addEventListener("click", () => {
-  const question = "Has the seal been replaced? Estimates will count from the next cycles; the old baseline stays in the record.";
+  const question = "Has the seal been replaced? A new baseline will be learned from the next cycles; the old one is kept as a record.";
   if (confirm(question)) order("new-baseline");
 });
 
