@@ -27,12 +27,14 @@ fn documented_plant_file_is_the_default_in_full() {
 }
 
 #[test]
-fn configuration_in_the_readme_reads() {
-    let readme = fs::read_to_string(root().join("README.md")).unwrap();
-    let block = readme.split("```toml").nth(1).unwrap().split("```").next().unwrap();
-    let config = DaemonConfig::parse(block).unwrap();
-    assert_eq!(config.axes[0].alarm, AxisConfig::default().alarm);
-    assert_eq!(config.axes[0].signals.len(), 1);
+fn configurations_of_the_guide_read() {
+    let guide = fs::read_to_string(root().join("docs/configuration.md")).unwrap();
+    let blocks = guide.split("```toml").skip(1).map(|rest| rest.split("```").next().unwrap());
+    let configs: Vec<DaemonConfig> = blocks.map(|block| DaemonConfig::parse(block).unwrap()).collect();
+    assert_eq!(configs[0].axes[0].alarm, AxisConfig::default().alarm);
+    assert_eq!(configs[0].axes[0].signals.len(), 1);
+    assert_eq!(configs[1].axes[0].duty_cycles.len(), 1);
+    assert_eq!(configs[2].axes.len(), 2);
 }
 
 #[test]
@@ -68,14 +70,32 @@ fn design_names_every_crate() {
 }
 
 #[test]
-fn changelog_and_readme_name_every_command() {
+fn changelog_and_commands_page_name_every_command() {
     let changes = fs::read_to_string(root().join("CHANGELOG.md")).unwrap();
-    let readme = fs::read_to_string(root().join("README.md")).unwrap();
+    let page = fs::read_to_string(root().join("docs/commands.md")).unwrap();
+    let headings: String = page.lines().filter(|line| line.starts_with("## ")).collect();
     for command in support::commands() {
-        assert!(changes.contains(&format!("`seepd {command}`")), "{command}");
-        let told = ["seepd", "--"].iter().any(|before| readme.contains(&format!("{before} {command}")));
-        assert!(told, "{command}");
+        let name = format!("`seepd {command}`");
+        assert!(changes.contains(&name), "{command}");
+        assert!(headings.contains(&name), "{command}");
     }
+}
+
+/// Files that documents link to exist.
+#[test]
+fn links_lead_somewhere() {
+    let pages = fs::read_dir(root().join("docs")).unwrap().map(|entry| entry.unwrap().path());
+    let pages = pages.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
+    let mut links = 0;
+    for page in pages.chain(["README.md", "DESIGN.md"].map(|name| root().join(name))) {
+        let text = fs::read_to_string(&page).unwrap();
+        for target in text.split("](").skip(1).filter_map(|rest| rest.split([')', '#']).next()) {
+            let is_file = !target.is_empty() && !target.contains("://");
+            assert!(!is_file || page.with_file_name(target).exists(), "{}: {target}", page.display());
+            links += usize::from(is_file);
+        }
+    }
+    assert!(links > 30, "{links}");
 }
 
 #[test]

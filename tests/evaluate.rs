@@ -175,7 +175,7 @@ fn missing_truth_and_wrong_limits_are_one_line_each() {
         (&["-"], 64, "each log is read twice"),
         (&["--within-cycles", "0", log], 64, "--within-cycles is 0"),
         (&["--onset-lpm", "nan", log], 64, "--onset-lpm"),
-        (&["--learn-cycles", "3", log], 64, "a baseline has"),
+        (&["--learn-cycles", "3", log], 64, "a baseline takes"),
         (&["--truth-unit", "gallons", log], 64, "gallons"),
         (&["absent.mcap"], 66, "absent.mcap"),
     ] {
