@@ -500,7 +500,7 @@ fn a_reload_takes_good_changes_over_and_refuses_bad_ones() {
     // A bad file: told with line and key; the old one goes on.
     fs::write(folder.path().join("seepd.toml"), config(port, "nonsense = 1\n")).unwrap();
     daemon.signal("HUP");
-    until("the refusal", SOON, || daemon.words().contains("the configuration stays as it was"));
+    until("the refusal", SOON, || daemon.words().contains("the old configuration stays in force"));
     assert!(daemon.words().contains("line 3: unknown key `nonsense`"), "{}", daemon.words());
     let before = axis_status(port).unwrap()["source"]["samples"].as_u64().unwrap();
     // Another port: the axis goes on undisturbed, with its counts.

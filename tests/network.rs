@@ -289,7 +289,9 @@ fn a_reload_takes_up_a_changed_token_and_a_changed_password() {
     until("the new password", SOON, || daemon.words().contains("connected to the broker"));
     // Where nothing has changed everything goes on.
     daemon.signal("HUP");
-    until("the second reload", SOON, || daemon.words().matches("configuration taken over").count() == 2);
+    until("the second reload", SOON, || {
+        daemon.words().matches("the changed configuration is in force").count() == 2
+    });
     assert_eq!(daemon.words().matches("connected to the broker").count(), 1, "{}", daemon.words());
 }
 

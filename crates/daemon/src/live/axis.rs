@@ -294,7 +294,11 @@ impl<'a> AxisReporter<'a> {
         if !self.stale && silent_ns as f64 > self.config.source.stale_after_s * 1e9 {
             self.stale = true;
             self.news = true;
-            tracing::warn!(axis = self.config.axis, "no command for {} s", self.config.source.stale_after_s);
+            tracing::warn!(
+                axis = self.config.axis,
+                "no command has come for {} s",
+                self.config.source.stale_after_s
+            );
             pipeline.stale(&mut |event| self.publish(event));
         }
     }
@@ -323,7 +327,7 @@ impl<'a> AxisReporter<'a> {
         if self.records.iter().zip(pipeline.monitors()).all(has_begun) {
             return;
         }
-        tracing::info!(axis = self.config.axis, "a new baseline is learned from the next cycles");
+        tracing::info!(axis = self.config.axis, "a new baseline will be learned from the next cycles");
         for (record, monitor) in self.records.iter_mut().zip(pipeline.monitors_mut()) {
             record.renew(monitor);
         }
@@ -339,12 +343,12 @@ impl<'a> AxisReporter<'a> {
         let mut records = self.records.iter_mut().zip(pipeline.monitors());
         let kept = records.try_for_each(|(record, monitor)| record.keep(monitor));
         self.learned = kept.is_err();
-        let unsaved = kept.err().map(|error| format!("the baseline cannot be kept: {error}"));
+        let unsaved = kept.err().map(|error| format!("the baseline cannot be written: {error}"));
         if unsaved != self.unsaved {
             let axis = &self.config.axis;
             match &unsaved {
-                Some(complaint) => tracing::error!(axis, "{complaint}; tried again after each cycle"),
-                None => tracing::info!(axis, "the baseline is kept now"),
+                Some(complaint) => tracing::error!(axis, "{complaint}; trying again after each cycle"),
+                None => tracing::info!(axis, "the baseline has been written now"),
             }
         }
         self.unsaved = unsaved;

@@ -48,7 +48,7 @@ impl BaselineRecord {
         let file = match own {
             Some(Err(failure)) => {
                 let aside = set_aside(&path);
-                tracing::error!(axis = config.axis, "{}; kept as {aside}", failure.message);
+                tracing::error!(axis = config.axis, "{}; the file is kept as {aside}", failure.message);
                 given()
             }
             Some(good) => Some(good),
@@ -93,7 +93,7 @@ impl BaselineRecord {
         let cycles = if self.learn_cycles > 0 { self.learn_cycles } else { USUAL_CYCLES };
         match monitor.learn("seal replaced", cycles) {
             Ok(()) => self.renewing = true,
-            Err(what) => tracing::error!("no new baseline: {what}"),
+            Err(what) => tracing::error!("no new baseline can be learned: {what}"),
         }
     }
 

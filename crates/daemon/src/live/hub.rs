@@ -375,7 +375,7 @@ impl fmt::Display for NotTaken {
             }
             NotTaken::NotRunning { axis, why } => write!(f, "the axis {axis} does not run: {why}"),
             NotTaken::Busy { axis } => {
-                write!(f, "the axis {axis} has not worked through its last orders yet; try again")
+                write!(f, "the axis {axis} has not carried out its last orders yet; try again")
             }
         }
     }
@@ -644,7 +644,7 @@ mod tests {
         assert_eq!(told("busy"), Ok(()));
         assert_eq!(
             told("busy"),
-            Err("the axis busy has not worked through its last orders yet; try again".into())
+            Err("the axis busy has not carried out its last orders yet; try again".into())
         );
         assert_eq!(told("other"), Err("there is no axis other; the axes are busy, unusable".into()));
         assert_eq!(told("unusable"), Err("the axis unusable does not run: model.json: No such file".into()));

@@ -17,7 +17,7 @@ use crate::sink::plain;
 /// [`Failure`] where the level is none, or logging has begun already.
 pub fn begin(level: &str) -> Result<(), Failure> {
     let level: LevelFilter = level.parse().map_err(|_| {
-        let message = format!("--log-level is `{level}`; levels are error, warn, info, debug, trace");
+        let message = format!("--log-level is `{level}`; it must be error, warn, info, debug or trace");
         Failure::new(Code::Usage, message)
     })?;
     let journal = std::env::var_os("JOURNAL_STREAM").and_then(|_| tracing_journald::layer().ok());
@@ -56,7 +56,7 @@ impl Warnings {
     pub fn warn(&mut self, now: Instant, text: &str) {
         match self.admit(now, text) {
             Some(0) => tracing::warn!("{text}"),
-            Some(unsaid) => tracing::warn!("{text} ({unsaid} warnings were not logged before this one)"),
+            Some(unsaid) => tracing::warn!("{text} ({unsaid} warnings before this one were not logged)"),
             None => {}
         }
     }

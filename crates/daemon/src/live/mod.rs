@@ -111,8 +111,9 @@ struct Signals {
 impl Signals {
     fn new() -> Result<Self, Failure> {
         let listen = |kind| {
-            signal(kind)
-                .map_err(|error| Failure::new(Code::Internal, format!("listening for signals: {error}")))
+            signal(kind).map_err(|error| {
+                Failure::new(Code::Internal, format!("signals of the system cannot be received: {error}"))
+            })
         };
         Ok(Signals {
             reload: listen(SignalKind::hangup())?,
@@ -308,7 +309,7 @@ impl Daemon {
             (sink.good, sink.detail) = (false, failure.message.clone());
         });
         if !told {
-            tracing::error!("{name}: {failure}; tried again every {} s", RETRY_DISK.as_secs());
+            tracing::error!("{name}: {failure}; trying again every {} s", RETRY_DISK.as_secs());
         }
         self.unstarted.push(config);
     }
@@ -387,7 +388,7 @@ impl Daemon {
         }
         let lost = events.lost();
         if lost > 0 {
-            tracing::error!("{lost} events were not recorded, as others held up the way to the recording");
+            tracing::error!("{lost} events were not recorded, because the recording could not keep up");
         }
         result
     }
@@ -422,7 +423,7 @@ impl Daemon {
         if unsaved != self.unsaved {
             match &unsaved {
                 Some(complaint) => {
-                    tracing::error!("{complaint}; tried again every {} s", RETRY_DISK.as_secs());
+                    tracing::error!("{complaint}; trying again every {} s", RETRY_DISK.as_secs());
                 }
                 None => tracing::info!("the state in {folder} is written again"),
             }
@@ -447,8 +448,8 @@ impl Daemon {
     async fn reload(&mut self, path: &Path) {
         tell(&[NotifyState::Reloading, monotonic()]);
         match self.try_reload(path).await {
-            Ok(()) => tracing::info!("configuration taken over: {}", self.status_line()),
-            Err(failure) => tracing::error!("the configuration stays as it was: {failure}"),
+            Ok(()) => tracing::info!("the changed configuration is in force: {}", self.status_line()),
+            Err(failure) => tracing::error!("the old configuration stays in force: {failure}"),
         }
         tell(&[NotifyState::Ready, NotifyState::Status(&self.status_line())]);
     }
@@ -458,7 +459,7 @@ impl Daemon {
         if state_folder(&config) != self.state_folder {
             return Err(Failure::configuration(
                 path,
-                "state_dir cannot change while the daemon runs; restart it",
+                "state_dir cannot change while the daemon runs; restart the daemon",
             ));
         }
         let sinks = sink_configs(&config);
@@ -589,7 +590,7 @@ async fn serve(site: Http, config: HttpConfig, hub: Arc<Hub>, mut stop: watch::R
             Ok(listener) => return site.run(listener).await,
             Err(error) => {
                 let what = format!("opening {}: {error}", config.listen);
-                tracing::error!("http: {what}; tried again");
+                tracing::error!("http: {what}; trying again");
                 hub.update_sink(http::SINK, |sink| (sink.good, sink.detail) = (false, what));
             }
         }

@@ -57,7 +57,7 @@ impl Entry {
                 entry.schema = SCHEMA.into();
                 Ok(entry)
             }
-            other => Err(format!("has the schema {other}")),
+            other => Err(format!("its schema is {other}, which this version does not read")),
         }
     }
 }
@@ -183,9 +183,9 @@ impl Spool {
 
     fn set_first_aside(&mut self, number: u64, message: &str) {
         let from = self.path(number);
-        tracing::error!("{}: {message}; moved into `{DAMAGED}`", from.display());
+        tracing::error!("{}: {message}; the file is moved into `{DAMAGED}`", from.display());
         if let Err(error) = self.move_aside(number, DAMAGED) {
-            tracing::error!("{}: cannot be moved: {error}", from.display());
+            tracing::error!("{}: the file cannot be moved: {error}", from.display());
         }
         self.counts.damaged += 1;
         self.numbers.pop_front();

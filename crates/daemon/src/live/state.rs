@@ -95,7 +95,8 @@ pub fn parse(text: &str) -> Result<BTreeMap<String, AxisState>, String> {
     struct Head {
         schema: String,
     }
-    let head: Head = serde_json::from_str(text).map_err(|error| format!("is no state file: {error}"))?;
+    let head: Head =
+        serde_json::from_str(text).map_err(|error| format!("this is not a state file: {error}"))?;
     match head.schema.as_str() {
         SCHEMA => {
             serde_json::from_str::<StateFile>(text).map(|file| file.axes).map_err(|error| error.to_string())
@@ -104,7 +105,7 @@ pub fn parse(text: &str) -> Result<BTreeMap<String, AxisState>, String> {
             let file: StateFile1 = serde_json::from_str(text).map_err(|error| error.to_string())?;
             Ok(file.axes.into_iter().map(|(axis, alarm)| (axis, AxisState::of_alarm(alarm))).collect())
         }
-        other => Err(format!("has the schema {other}; this version reads {SCHEMA} and older")),
+        other => Err(format!("its schema is {other}; this version reads {SCHEMA} and older")),
     }
 }
 
@@ -188,7 +189,7 @@ struct TrendFile {
 pub fn read_trends(folder: &Path) -> Trends {
     take_up(&folder.join(TREND_NAME), "trends", |bytes| match serde_json::from_slice::<TrendFile>(bytes) {
         Ok(file) if file.schema == TREND_SCHEMA => Ok(file.axes),
-        _ => Err("is no file of trends".into()),
+        _ => Err("this is not a file of trends".into()),
     })
 }
 
@@ -203,7 +204,7 @@ fn take_up<T: Default>(path: &Path, what: &str, parse: impl FnOnce(&[u8]) -> Res
     };
     read.and_then(|bytes| parse(&bytes)).unwrap_or_else(|message| {
         let aside = set_aside(path);
-        tracing::error!("{}: {message}; kept as {aside}; {what} begin anew", path.display());
+        tracing::error!("{}: {message}; the file is kept as {aside}, and {what} begin anew", path.display());
         T::default()
     })
 }

@@ -87,7 +87,12 @@ fn register_leak(registry: &mut Registry, axes: &[AxisStatus]) {
         with(|axis| axis.leak_flow_lpm),
     );
     let powers = with(|axis| axis.loss.map(|loss| loss.leak_power_w));
-    gauges(registry, "leak_power_w", "Hydraulic power that the leak turns into heat there", powers);
+    gauges(
+        registry,
+        "leak_power_w",
+        "Hydraulic power that the leak turns into heat at the reference pressure difference",
+        powers,
+    );
 }
 
 fn register_baseline(registry: &mut Registry, axes: &[AxisStatus]) {
@@ -111,12 +116,17 @@ fn register_baseline(registry: &mut Registry, axes: &[AxisStatus]) {
             family.get_or_create(&labels).set(f64::from(u8::from(axis.finding == finding)));
         }
     }
-    registry.register("finding", "1 for what the sums over cycles say against the baseline", family);
-    gauges(registry, "time_to_leak_s", "Until the flag leak, as projected", with(|axis| axis.time_to_leak_s));
+    registry.register("finding", "1 for the present finding of the CUSUM against the baseline", family);
+    gauges(
+        registry,
+        "time_to_leak_s",
+        "Time until the flag leak is expected",
+        with(|axis| axis.time_to_leak_s),
+    );
     let earliest = with(|axis| axis.time_to_leak_range_s.map(|range| range[0]));
-    gauges(registry, "time_to_leak_earliest_s", "The shortest that the points so far admit", earliest);
+    gauges(registry, "time_to_leak_earliest_s", "Earliest time until the flag leak", earliest);
     let latest = with(|axis| axis.time_to_leak_range_s.map(|range| range[1]));
-    gauges(registry, "time_to_leak_latest_s", "The longest that the points so far admit", latest);
+    gauges(registry, "time_to_leak_latest_s", "Latest time until the flag leak", latest);
 }
 
 fn register_flags(registry: &mut Registry, axes: &[AxisStatus]) {
@@ -133,10 +143,10 @@ fn register_flags(registry: &mut Registry, axes: &[AxisStatus]) {
             }
         }
     }
-    registry.register("flag", "1 for the flag that is up", family);
+    registry.register("flag", "1 for the present flag", family);
     registry.register("latched_unacknowledged", "1 for a latched flag that nobody has acknowledged", latched);
     let stale = axes.iter().map(|axis| (axis, f64::from(u8::from(axis.stale))));
-    gauges(registry, "input_stale", "1 where no command comes", stale);
+    gauges(registry, "input_stale", "1 where no command arrives", stale);
 }
 
 fn register_cycles(registry: &mut Registry, axes: &[AxisStatus]) {
@@ -188,7 +198,7 @@ fn register_sinks(registry: &mut Registry, sinks: &[SinkStatus]) {
         waiting.get_or_create(&labels(sink)).set(sink.waiting as f64);
     }
     registry.register("sink_good", "1 where the sink works", family);
-    registry.register("sink_waiting", "Events that wait", waiting);
+    registry.register("sink_waiting", "Events that are waiting", waiting);
     let sent = sinks.iter().map(|sink| (labels(sink), sink.sent));
     counters(registry, "sink_sent", "Events, samples or frames that went out", sent);
     let dropped = sinks.iter().map(|sink| (labels(sink), sink.dropped));

@@ -253,7 +253,7 @@ impl RecordingWriter {
         self.pause = LOOKS_AFTER_FAILURE;
         let complaint = format!("recording into {}: {error}", self.shelf.folder.display());
         if self.complaint.as_ref() != Some(&complaint) {
-            tracing::error!("{complaint}; tried again every {} s", (LOOK * LOOKS_AFTER_FAILURE).as_secs());
+            tracing::error!("{complaint}; trying again every {} s", (LOOK * LOOKS_AFTER_FAILURE).as_secs());
             self.complaint = Some(complaint);
         }
     }

@@ -104,8 +104,9 @@ pub fn token(config: &HttpConfig) -> Result<Option<String>, Failure> {
     let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
     let token = text.trim().to_owned();
     if token.len() < SHORTEST_TOKEN || !token.chars().all(|c| c.is_ascii_graphic() && c != ';') {
-        let what =
-            format!("holds no token: it needs {SHORTEST_TOKEN} characters and more, without spaces and `;`");
+        let what = format!(
+            "the file has no token: a token is {SHORTEST_TOKEN} or more characters without spaces and `;`"
+        );
         return Err(Failure::configuration(path, what));
     }
     Ok(Some(token))
@@ -157,7 +158,7 @@ async fn admit(State(site): State<Arc<Site>>, request: Request, next: Next) -> R
                 Some(brought) if is_it(&brought) => let_in(token),
                 _ => problem(
                     StatusCode::UNAUTHORIZED,
-                    "bring the token: `Authorization: Bearer TOKEN`, or open /?token=TOKEN once",
+                    "a token is needed: send `Authorization: Bearer TOKEN`, or open /?token=TOKEN once",
                 ),
             };
         }
@@ -172,12 +173,12 @@ fn check_origin(site: &Site, headers: &HeaderMap) -> Result<(), &'static str> {
     if let Some(origin) = text(header::ORIGIN)
         && origin.split_once("://").is_none_or(|(_, place)| place != host)
     {
-        return Err("requests from pages of other places are refused");
+        return Err("requests from pages of other sites are refused");
     }
     let name = host.rsplit_once(':').map_or(host, |(name, _)| name);
     let own = ["localhost", "127.0.0.1", "[::1]"].contains(&name) || name == site.listen.ip().to_string();
     if site.token.is_none() && !own {
-        return Err("this daemon answers to its own address only; set http.token_file to open it to others");
+        return Err("this daemon answers only to its own address; set http.token_file to open it to others");
     }
     Ok(())
 }
@@ -301,7 +302,7 @@ async fn healthz(State(site): State<Arc<Site>>) -> Response {
         .iter()
         .filter(|axis| axis.stale || axis.source.state == SourceState::Down)
         .map(|axis| {
-            let why = axis.source.detail.clone().unwrap_or_else(|| "no command comes".into());
+            let why = axis.source.detail.clone().unwrap_or_else(|| "no command arrives".into());
             format!("{}: {why}", axis.axis)
         })
         .collect();

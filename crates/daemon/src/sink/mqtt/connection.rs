@@ -279,7 +279,7 @@ fn tls(config: &MqttConfig) -> Result<ClientConfig, Failure> {
     let mut roots = RootCertStore::empty();
     roots.add_parsable_certificates(certificates(&config.ca_file)?);
     if roots.is_empty() {
-        return Err(bad(&config.ca_file, "has no certificate that could be trusted".into()));
+        return Err(bad(&config.ca_file, "the file has no certificate that can be trusted".into()));
     }
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let builder = ClientConfig::builder_with_provider(provider)
@@ -300,7 +300,7 @@ fn tls(config: &MqttConfig) -> Result<ClientConfig, Failure> {
 
 fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, Failure> {
     let pem = side_file::read(path).map_err(|error| Failure::reading(path, &error))?;
-    CertificateDer::pem_slice_iter(&pem)
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(|error| Failure::configuration(path, format!("is no PEM file of certificates: {error}")))
+    CertificateDer::pem_slice_iter(&pem).collect::<Result<Vec<_>, _>>().map_err(|error| {
+        Failure::configuration(path, format!("this is not a PEM file of certificates: {error}"))
+    })
 }

@@ -78,7 +78,7 @@ pub struct Broker {
 }
 
 fn in_memory(why: &str) -> String {
-    format!("events wait in memory, as the disk takes none: {why}")
+    format!("events wait in memory, since they cannot be written to disk: {why}")
 }
 
 /// An event that waits for its confirmation.
@@ -333,7 +333,7 @@ impl Broker {
                 }
                 self.tell("connected");
             }
-            ConnectionEvent::Unwilling(why) => self.lose(&format!("it takes no event now: {why}")),
+            ConnectionEvent::Unwilling(why) => self.lose(&format!("it takes no event at present: {why}")),
             ConnectionEvent::Message(message) => self.take_order(&message),
             ConnectionEvent::Lost(why) => self.lose_over_event(&why).await,
         }
@@ -348,9 +348,9 @@ impl Broker {
             _ => return,
         };
         let fault = if message.retained {
-            "a retained message is no order, as it would be given again at each connection; clear it with an empty one".into()
+            "a retained message is no order, since the broker would repeat it at each connection; clear it with an empty message".into()
         } else if message.empty {
-            "an empty message is no order, as it clears a retained one".into()
+            "an empty message is no order, since it clears a retained one".into()
         } else if let Err(not_taken) = self.hub.order(axis, order) {
             not_taken.to_string()
         } else {
@@ -408,7 +408,7 @@ impl Broker {
     fn greet(&self) {
         let Some(connection) = self.connection.as_ref().filter(|_| self.link.presence) else { return };
         if let Err(error) = connection.announce(self.link.topic("status"), "online") {
-            tracing::warn!("greeting the broker: {error}");
+            tracing::warn!("the broker cannot be greeted: {error}");
         }
     }
 

@@ -81,7 +81,7 @@ impl Shelf {
         }
         if next < LEAST_BYTES {
             let message = format!(
-                "the disk has no room beside the {:.1} MB that stay free for state and events; make room on it",
+                "the disk has no room besides the {:.1} MB that are kept free for state and events; free some space",
                 disk.reserve as f64 / MB
             );
             return Err(io::Error::new(io::ErrorKind::StorageFull, message));
