@@ -91,7 +91,7 @@ fn topic_that_matches_nothing_lists_what_is_there() {
     let (code, text) = replay_refusal(&fixture("mcap/generated/axis_lz4_chunked.mcap"));
     assert_eq!(code, 65);
     assert!(
-        text.contains("the log holds /axis/sample (json, 2000 messages), /axis/status (json, 20 messages)"),
+        text.contains("the log has /axis/sample (json, 2000 messages), /axis/status (json, 20 messages)"),
         "{text}"
     );
     let (code, text) = refusal([
@@ -101,7 +101,7 @@ fn topic_that_matches_nothing_lists_what_is_there() {
         fixture("mcap/generated/axis_unchunked.mcap").to_str().unwrap(),
     ]);
     assert_eq!(
-        (code, text.contains("`command` on topic /press/9; the log holds /axis/sample")),
+        (code, text.contains("`command` on topic /press/9; the log has /axis/sample")),
         (65, true),
         "{text}"
     );
@@ -121,7 +121,7 @@ fn csv_without_a_command_lists_its_columns() {
 #[test]
 fn endless_chunk_length_is_refused_without_memory() {
     let (code, text) = replay_refusal(&fixture("mcap/rust_crate/chunk_not_closed.mcap"));
-    assert_eq!((code, text.contains("the log holds no topics at all")), (65, true), "{text}");
+    assert_eq!((code, text.contains("the log has no topics at all")), (65, true), "{text}");
 }
 
 /// Found by fuzzing: a topic's length of 4 GiB.
@@ -306,7 +306,7 @@ fn rows_that_are_no_numbers_are_left_out_and_told() {
     let text = rows(|n, t, u| if n == 4_999 { Some("oops,0.1".into()) } else { plain(t, u) });
     let output = seepd(["replay", "--json", file(&folder, "log.csv", text).to_str().unwrap()]);
     assert!(
-        stderr(&output).contains("1 rows left out; the first at line 5001: `oops` is not a number"),
+        stderr(&output).contains("1 rows were left out, the first at line 5001: `oops` is not a number"),
         "{}",
         stderr(&output)
     );

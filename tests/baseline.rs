@@ -219,7 +219,7 @@ fn a_load_signal_that_freezes_is_told_and_not_used() {
             .filter(|line| line.get("load").is_some())
             .all(|line| line["load"] == "frozen")
     );
-    assert!(told(place, "nominal", &csv).contains("the load's signal stands still"));
+    assert!(told(place, "nominal", &csv).contains("the load signal stands still"));
 }
 
 #[test]

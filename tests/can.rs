@@ -283,12 +283,12 @@ fn a_log_without_its_dbc_and_a_dbc_without_the_signal() {
     let dbc = text_of(&logs.dbc);
     let (code, text) = refusal(&["replay", text_of(&logs.candump), "--dbc", dbc, "--command", "ValveComand"]);
     assert_eq!(code, 78);
-    assert!(text.contains("names no signal `ValveComand`; did you mean `ValveCommand`?"), "{text}");
+    assert!(text.contains("there is no signal `ValveComand`; did you mean `ValveCommand`?"), "{text}");
     let config = logs.folder.path().join("seepd.toml");
     fs::write(&config, "dbc = \"press.dbc\"\n[signals.command]\nfield = \"Valve\"\n").unwrap();
     let (code, text) = refusal(&["check", text_of(&config)]);
     assert_eq!(code, 78);
-    assert!(text.contains("names no signal `Valve`"), "{text}");
+    assert!(text.contains("there is no signal `Valve`"), "{text}");
 }
 
 #[test]
@@ -320,8 +320,8 @@ fn damaged_lines_and_short_frames_are_counted_and_the_rest_counts() {
     let output = seepd(["replay", text_of(&log), "--config", text_of(&config)].into_iter().chain(arguments));
     assert_eq!(stdout(&output).lines().count(), 4 + 1);
     let notes = stderr(&output);
-    assert!(notes.contains("1 lines left out, the first at line"), "{notes}");
-    assert!(notes.contains("1 frames left out as too short"), "{notes}");
+    assert!(notes.contains("1 lines were left out, the first at line"), "{notes}");
+    assert!(notes.contains("1 frames were left out, since they are too short"), "{notes}");
 }
 
 #[test]

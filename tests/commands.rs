@@ -461,7 +461,7 @@ fn several_axes_are_chosen_by_name() {
     for command in [vec!["replay"], vec!["evaluate"], vec!["gap"], vec!["learn-baseline", "--out", &baseline]]
     {
         for (axis, told) in [
-            (&[][..], "choose one by --axis: press-1, press-2"),
+            (&[][..], "choose one with --axis: press-1, press-2"),
             (&["--axis", "press-3"], "has no axis `press-3`; it has press-1, press-2"),
         ] {
             let output = seepd(command.iter().chain(&["--config", &config, &log]).chain(axis));

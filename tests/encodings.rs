@@ -234,7 +234,7 @@ fn message_that_does_not_fit_its_schema_is_left_out_and_told() {
     messages.push([vec![0, 1, 0, 0], vec![0; 16], vec![0xff; 4]].concat());
     let (samples, notes) = read(log(("plc/msg/Axis", "ros2msg", ROS.as_bytes()), "cdr", &messages)).unwrap();
     assert_eq!(samples, EXPECTED);
-    assert!(notes[0].starts_with("log: 3 messages left out as unreadable"), "{notes:?}");
+    assert!(notes[0].starts_with("log: 3 messages were left out as unreadable"), "{notes:?}");
 }
 
 /// A message that holds itself would never end.
@@ -253,7 +253,7 @@ fn default_mapping_does_not_trip_over_other_topics() {
         log(("std_msgs/msg/String", "ros2msg", b"string data"), "cdr", &[vec![0, 1, 0, 0, 0, 0, 0, 0]]);
     let mut source = McapSource::new(Cursor::new(bytes), "log", LogMapping::default().places()).unwrap();
     let text = source.next_sample().unwrap_err().to_string();
-    assert!(text.contains("the log holds /plc (cdr, 1 messages)"), "{text}");
+    assert!(text.contains("the log has /plc (cdr, 1 messages)"), "{text}");
 }
 
 /// What the Python packages `mcap` and `mcap-ros2-support` read from the logs of others: messages by topic, and how often

@@ -211,7 +211,7 @@ fn a_field_path_200_000_deep_is_a_configuration_error() {
     let path = file(&folder, "a.mcap", log("json", ("a", "jsonschema", b""), &[b"{\"command\":1}".to_vec()]));
     let config = format!("[signals.command]\ntopic = \"/plc\"\nfield = \"{}\"\n", "a.".repeat(200_000));
     let config = file(&folder, "seepd.toml", config);
-    let told = "signals.command.field is a path of 200000 parts; 32 are followed";
+    let told = "signals.command.field is a path of 200000 parts; at most 32 are followed";
     let check = seepd(["check", config.to_str().unwrap()]);
     assert_eq!((check.status.code(), stderr(&check).contains(told)), (Some(78), true), "{}", stderr(&check));
     let output = seepd(["replay", "--config", config.to_str().unwrap(), path.to_str().unwrap()]);
@@ -375,14 +375,14 @@ fn schemas_and_channels_by_the_hundred_thousand_are_passed_over() {
     let found: Value = serde_json::from_slice(&outputs[1].stdout).unwrap();
     assert_eq!(found["topics"].as_array().unwrap().len(), 1024);
     assert!(
-        found["notes"].as_array().unwrap().contains(&"63977 topics more, which are left out here".into())
+        found["notes"].as_array().unwrap().contains(&"63977 more topics, which are left out here".into())
     );
     let (codes, text) = {
         let output = frugal(["replay", path.to_str().unwrap()]);
         (output.status.code(), stderr(&output))
     };
     assert_eq!(codes, Some(65));
-    assert!(text.contains("/robot/part_32 (protobuf, 0 messages), 64969 topics more"), "{text}");
+    assert!(text.contains("/robot/part_32 (protobuf, 0 messages), 64969 more topics"), "{text}");
     assert!(text.len() < 4000, "{} bytes", text.len());
 }
 
@@ -423,7 +423,11 @@ fn a_chunk_without_crc_is_unpacked_within_bounds() {
     let path = file(&folder, "bomb.mcap", &bytes);
     let outputs = read_twice(&path, "command");
     assert_eq!(codes(&outputs).0, [Some(0); 2], "{}", codes(&outputs).1);
-    assert!(codes(&outputs).1.contains("1 messages longer than 8 MiB passed over"), "{}", codes(&outputs).1);
+    assert!(
+        codes(&outputs).1.contains("1 messages longer than 8 MiB were passed over"),
+        "{}",
+        codes(&outputs).1
+    );
     // One that says it holds a terabyte is damaged.
     let at = MAGIC.len() + 9 + 16;
     bytes[at..at + 8].copy_from_slice(&(1u64 << 40).to_le_bytes());
@@ -527,7 +531,7 @@ fn a_counter_outside_the_commands_frame_is_a_configuration_error() {
          [signals.command]\nbits = { id = 0x123, start = 0, length = 16, encoding = \"signed\" }\n",
     );
     let log = file(&folder, "candump.log", "(1.000001) can0 123#0000\n(1.001001) can0 124#01\n");
-    let told = "source.counter is in the frame 124, signals.command in 123";
+    let told = "source.counter is in the frame 124, but signals.command is in 123";
     for arguments in [
         vec!["check", config.to_str().unwrap()],
         vec!["replay", "--config", config.to_str().unwrap(), log.to_str().unwrap()],
@@ -555,7 +559,7 @@ fn a_line_without_end_takes_no_memory() {
     let output = frugal(["replay", "--json", path.to_str().unwrap()]);
     let summary: Value = json(&output);
     assert_eq!(summary["samples"], 101);
-    let told = "1 rows left out; the first at line 102: the line is longer than a row can be";
+    let told = "1 rows were left out, the first at line 102: the line is longer than a row can be";
     assert!(stderr(&output).contains(told), "{}", stderr(&output));
     assert_eq!(frugal(["inspect", path.to_str().unwrap()]).status.code(), Some(0));
     let path = file(&folder, "header.csv", "x".repeat(100 << 20));
@@ -575,7 +579,7 @@ fn a_stray_quote_costs_one_row() {
     let output = seepd(["replay", "--json", path.to_str().unwrap()]);
     let summary: Value = json(&output);
     assert_eq!(summary["samples"], 999);
-    let told = "1 rows left out; the first at line 52: a quote is opened and not closed";
+    let told = "1 rows were left out, the first at line 52: a quote is opened and not closed";
     assert!(stderr(&output).contains(told), "{}", stderr(&output));
 }
 
@@ -588,7 +592,7 @@ fn a_log_of_which_nothing_can_be_used_is_a_failure() {
     let dbc = "VERSION \"\"\nBU_:\nBO_ 291 M: 8 X\n SG_ command : 0|16@1- (1,0) [0|0] \"\" X\n";
     let dbc = file(&folder, "a.dbc", dbc);
     for (name, content, told) in [
-        ("header.csv", b"t_s,command\n".to_vec(), "holds a header row and no other"),
+        ("header.csv", b"t_s,command\n".to_vec(), "the file has a header row and nothing else"),
         (
             "words.csv",
             b"t_s,command\n1,fast\n2,slow\n".to_vec(),

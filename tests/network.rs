@@ -334,7 +334,7 @@ fn a_password_that_others_can_read_and_an_open_page_are_remarked_on() {
     // The daemon says it at its start.
     let config = silent_press(folder.path(), free_port(), free_port(), "5");
     let daemon = Daemon::start(folder.path(), &config);
-    until("the remark", SOON, || daemon.words().contains("http: has no token_file"));
+    until("the remark", SOON, || daemon.words().contains("http: there is no token_file"));
 }
 
 #[test]

@@ -1,5 +1,5 @@
 //! What the shipped model is worth, on machines that it has not seen. The program's own training measures it; the same
-//! training rebuilds the model that the program brings.
+//! training rebuilds the embedded model.
 
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 

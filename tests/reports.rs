@@ -57,7 +57,7 @@ fn a_report_of_several_logs_tells_leak_power_flags_and_rejections() {
         "now (mean of the last 5)".into(),
         "monday.mcap".into(),
         "tues&lt;day&gt;.mcap".into(),
-        "its clock begins anew".into(),
+        "its clock starts again".into(),
         "samples are missing".into(),
         "threshold 0.6 L/min".into(),
         "relative.hold_1".into(),

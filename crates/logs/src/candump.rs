@@ -134,13 +134,13 @@ impl<R: Read> Source for CandumpSource<R> {
         let first = self.first_unreadable.as_deref().unwrap_or_default();
         let counts = self.decoder.counts();
         let notes = [
-            (self.unreadable, format!("lines left out, the first at {first}")),
-            (counts.too_short, "frames left out as too short for their signals".into()),
+            (self.unreadable, format!("lines were left out, the first at {first}")),
+            (counts.too_short, "frames were left out, since they are too short for their signals".into()),
             (counts.remote, "remote frames, which carry no data".into()),
             (counts.error, "error frames".into()),
             (counts.missing, "frames lost before the log, by their counter".into()),
             (counts.repeated, "frames sent twice, or by two senders, by their counter".into()),
-            (counts.jumps, "times the frames' counter went back".into()),
+            (counts.jumps, "times that the counter of the frames went back".into()),
         ];
         let told = notes.into_iter().filter(|(count, _)| *count > 0);
         told.map(|(count, what)| format!("{}: {count} {what}", self.name)).collect()

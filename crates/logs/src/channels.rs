@@ -71,7 +71,7 @@ impl Channels {
     /// Takes a record that announces a schema or a channel; others are none of its business.
     ///
     /// # Errors
-    /// [`LogError`] where a mapped channel cannot be read, or the log holds several axes.
+    /// [`LogError`] where a mapped channel cannot be read, or the log has several axes.
     pub(super) fn take_announcement(&mut self, opcode: u8, content: &[u8]) -> Result<(), LogError> {
         match opcode {
             op::SCHEMA => self.schemas.take(content),
@@ -106,7 +106,7 @@ impl Channels {
             if other != topic {
                 return Err(LogError::data(
                     &self.log,
-                    format!("holds several axes, {other} and {topic}; choose one with --topic"),
+                    format!("the log has several axes, {other} and {topic}; choose one with --topic"),
                 ));
             }
         }
@@ -115,7 +115,9 @@ impl Channels {
         if self.mapped.len() == MOST_MAPPED || self.decoder_bytes > DECODERS_BYTES {
             return Err(LogError::data(
                 &self.log,
-                format!("announces topic {topic} more often, or with longer schemas, than is believed"),
+                format!(
+                    "topic {topic} is announced too often, or with schemas that are too long, to be read"
+                ),
             ));
         }
         let decoder = Decoder::new(encoding, schema)
@@ -154,7 +156,7 @@ impl Channels {
         };
         let mut listed: Vec<String> = self.told.values().map(channel).collect();
         if self.announced.len() > listed.len() {
-            listed.push(format!("{} topics more", self.announced.len() - listed.len()));
+            listed.push(format!("{} more topics", self.announced.len() - listed.len()));
         }
         if self.unannounced > 0 {
             listed.push(format!("{} messages of topics that it does not name", self.unannounced));
@@ -170,7 +172,7 @@ impl Channels {
                 Some(ending) => format!("`{}` on a topic that ends in {ending}", mapping.field),
                 None => format!("`{}` on topic {}", mapping.field, mapping.topic),
             },
-            None => "a command: the mapping has none".into(),
+            None => "a command, which the mapping does not name".into(),
         }
     }
 }

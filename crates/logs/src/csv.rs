@@ -85,8 +85,10 @@ impl<R: Read> CsvSource<R> {
     /// What there is where no row was of use.
     fn nothing_usable(&self) -> LogError {
         let what = match &self.first_unreadable {
-            Some(first) => format!("none of its {} rows can be used; the first at {first}", self.unreadable),
-            None => "holds a header row and no other".into(),
+            Some(first) => {
+                format!("none of the {} rows can be used; the first of them is at {first}", self.unreadable)
+            }
+            None => "the file has a header row and nothing else".into(),
         };
         LogError::data(&self.name, what)
     }
@@ -155,7 +157,7 @@ impl<R: Read> Source for CsvSource<R> {
     fn notes(&self) -> Vec<String> {
         let first = self.first_unreadable.as_deref().unwrap_or_default();
         let unreadable = (self.unreadable > 0)
-            .then(|| format!("{}: {} rows left out; the first at {first}", self.name, self.unreadable));
+            .then(|| format!("{}: {} rows were left out, the first at {first}", self.name, self.unreadable));
         unreadable.into_iter().collect()
     }
 }

@@ -16,7 +16,7 @@ pub enum LogError {
         error: io::Error,
     },
     /// A folder stands where a log must be named.
-    #[error("{name}: is a folder; name a log file")]
+    #[error("{name}: this is a folder; name a log file")]
     Folder {
         /// Folder.
         name: String,

@@ -142,7 +142,7 @@ impl FieldTree {
     fn add(&mut self, key: &str, path: &str, target: Target) -> Result<(), String> {
         let depth = steps(path).count();
         if depth > DEEPEST {
-            return Err(format!("{key} is a path of {depth} parts; {DEEPEST} are followed"));
+            return Err(format!("{key} is a path of {depth} parts; at most {DEEPEST} are followed"));
         }
         let mut node = self;
         for step in steps(path) {
@@ -305,7 +305,7 @@ mod tests {
         let deep = [(Signal::Command, mapping(&"a.".repeat(200_000), 1.0, ""))];
         assert_eq!(
             tree(&deep).unwrap_err(),
-            "signals.command.field is a path of 200000 parts; 32 are followed"
+            "signals.command.field is a path of 200000 parts; at most 32 are followed"
         );
         let fits = [(Signal::Command, mapping(&["a"; DEEPEST].join("."), 1.0, ""))];
         let json = format!("{}1{}", r#"{"a":"#.repeat(DEEPEST), "}".repeat(DEEPEST));

@@ -33,13 +33,13 @@ const REFUSED: &[(&[u8], &str, &str)] = &[
     (b"SQLite format 3\0", "an SQLite file, perhaps a ROS 2 bag", "convert it to MCAP"),
     (b"ULog\x01", "a ULog", "convert it to MCAP or CSV"),
     (b"PAR1", "a Parquet file", "export it as CSV"),
-    (b"\x89HDF\r\n", "an HDF5 file, perhaps of MATLAB", "export it as CSV"),
+    (b"\x89HDF\r\n", "an HDF5 file, perhaps from MATLAB", "export it as CSV"),
     (b"MATLAB 5.0 MAT-file", "a MATLAB file", "export it as CSV"),
     (b"TDSm", "a LabVIEW TDMS file", "export it as CSV"),
-    (b"\x1f\x8b", "compressed with gzip", UNPACK),
-    (b"\x28\xb5\x2f\xfd", "compressed with zstd", UNPACK),
-    (b"\xfd7zXZ\0", "compressed with xz", UNPACK),
-    (b"BZh", "compressed with bzip2", UNPACK),
+    (b"\x1f\x8b", "a gzip archive", UNPACK),
+    (b"\x28\xb5\x2f\xfd", "a zstd archive", UNPACK),
+    (b"\xfd7zXZ\0", "an xz archive", UNPACK),
+    (b"BZh", "a bzip2 archive", UNPACK),
     (b"PK\x03\x04", "a ZIP archive", UNPACK),
     (b"\x0a\x0d\x0d\x0a", "a pcapng capture", CONVERT_CAN),
     (b"\xd4\xc3\xb2\xa1", "a pcap capture", CONVERT_CAN),
@@ -59,15 +59,18 @@ impl LogKind {
         } else if head.starts_with(&MCAP_MAGIC[..head.len().min(8)]) {
             Ok(LogKind::Mcap)
         } else if let Some((_, kind, advice)) = REFUSED.iter().find(|(magic, ..)| text.starts_with(magic)) {
-            Err(LogError::data(name, format!("is {kind}, which is not read; {advice}")))
+            Err(LogError::data(name, format!("this is {kind}, which is not read; {advice}")))
         } else if !looks_like_text(head) {
-            Err(LogError::data(name, "is neither an MCAP log nor a text (CSV with a header row, candump -l)"))
+            Err(LogError::data(
+                name,
+                "this is neither an MCAP log nor a text (CSV with a header row, or candump -l)",
+            ))
         } else if looks_like_candump(text) {
             Ok(LogKind::Candump)
         } else if looks_like_candump_screen(text) {
             Err(LogError::data(
                 name,
-                "is what candump shows on the screen, which is not read; record with `candump -l` or `-L`",
+                "this is what candump shows on the screen, which is not read; record with `candump -l` or `-L`",
             ))
         } else {
             Ok(LogKind::Csv)

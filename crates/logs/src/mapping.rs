@@ -85,7 +85,7 @@ pub fn check_signals(signals: &BTreeMap<Signal, SignalMapping>) -> Result<(), Lo
     }
     if !signals.is_empty() && !signals.contains_key(&Signal::Command) {
         return Err(LogError::mapping(
-            "signals.command is missing: the other signals are read beside the command, not without it",
+            "signals.command is missing: the other signals are only read together with the command",
         ));
     }
     Ok(())

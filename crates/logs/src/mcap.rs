@@ -48,7 +48,7 @@ impl LeftOut {
 
     fn note(&self, what: &str) -> Option<String> {
         let LeftOut { count, first } = self;
-        (*count > 0).then(|| format!("{count} messages left out {what}, the first {first}"))
+        (*count > 0).then(|| format!("{count} messages were left out {what}, the first {first}"))
     }
 }
 
@@ -58,8 +58,9 @@ impl<R: Read + Seek> McapSource<R> {
     /// # Errors
     /// [`LogError`] where the file cannot be read or is no MCAP file.
     pub fn new(file: R, name: &str, mapping: Vec<(Signal, SignalMapping)>) -> Result<Self, LogError> {
-        let file = McapFile::new(file)
-            .map_err(|error| LogError::data(name, format!("is cut short or no MCAP log: {error}")))?;
+        let file = McapFile::new(file).map_err(|error| {
+            LogError::data(name, format!("this is not an MCAP log, or it is cut short: {error}"))
+        })?;
         Ok(McapSource {
             name: name.into(),
             file,
@@ -79,12 +80,12 @@ impl<R: Read + Seek> McapSource<R> {
         let why: Vec<String> = self.file.damage.notes().into_iter().chain(self.left_out()).collect();
         let why = if why.is_empty() { String::new() } else { format!(" ({})", why.join("; ")) };
         let (wanted, listed) = (self.channels.wanted(), self.channels.listed());
-        LogError::data(&self.name, format!("no message has {wanted}; the log holds {listed}{why}"))
+        LogError::data(&self.name, format!("no message has {wanted}; the log has {listed}{why}"))
     }
 
     fn left_out(&self) -> impl Iterator<Item = String> {
         let unreadable = self.unreadable.note("as unreadable");
-        unreadable.into_iter().chain(self.without_command.note("that hold no command"))
+        unreadable.into_iter().chain(self.without_command.note("since they have no command"))
     }
 
     fn io(&self, error: std::io::Error) -> LogError {

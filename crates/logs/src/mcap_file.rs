@@ -47,18 +47,20 @@ impl Damage {
     pub(crate) fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         if let Some(at) = self.cut_at {
-            notes.push(format!("ends at byte {at} in the middle of its data; read up to there"));
+            notes.push(format!(
+                "the log ends at byte {at} in the middle of its data; it was read up to there"
+            ));
         }
         if self.chunks > 0 || self.skipped_bytes > 0 {
             let at = self.first_at.unwrap_or(0);
             notes.push(format!(
-                "{} damaged chunks and {} damaged bytes between them left out, the first at byte {at}",
+                "{} damaged chunks and {} damaged bytes between them were left out, the first at byte {at}",
                 self.chunks, self.skipped_bytes
             ));
         }
         if self.passed_over > 0 {
             let (count, longest) = (self.passed_over, LONGEST_RECORD >> 20);
-            notes.push(format!("{count} messages longer than {longest} MiB passed over"));
+            notes.push(format!("{count} messages longer than {longest} MiB were passed over"));
         }
         notes
     }

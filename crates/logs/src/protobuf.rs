@@ -146,7 +146,7 @@ fn index_message<'s>(
     let full = if scope.is_empty() { own.to_vec() } else { [scope, b".", own].concat() };
     let full = String::from_utf8(full).map_err(|_| "a name is not text".to_owned())?;
     if full.len() > LONGEST_NAME || defined.len() >= MOST_DEFINED || depth > DEEPEST {
-        return Err("it defines more, longer or deeper names than is believed".into());
+        return Err("it defines too many names, or names that are too long or too deep".into());
     }
     for nested in Wire(body).bodies(3) {
         index_message(full.as_bytes(), nested?, implicit, defined, depth + 1)?;
@@ -239,7 +239,7 @@ fn field_of(
         (15, _) => Kind::SignedFixed32,
         (16, _) => Kind::SignedFixed64,
         (17 | 18, _) => Kind::ZigZag,
-        _ => return Err(format!("the field `{name}` is of no type that there is")),
+        _ => return Err(format!("the field `{name}` has an unknown type")),
     };
     let is_number = !matches!(kind, Kind::Text | Kind::Bytes | Kind::Message(_));
     let implicit_here = features.map_or(implicit_in_file, |presence| presence == IMPLICIT);
@@ -405,7 +405,7 @@ impl<V: FieldVisitor> Walk<'_, '_, V> {
         }
         // Neither is written where it is its type's default.
         let key = match key {
-            Some(key) => key_text(key_field.kind, key).ok_or("a map's key is none")?,
+            Some(key) => key_text(key_field.kind, key).ok_or("the key of a map is not one")?,
             None if key_field.kind == Kind::Text => String::new(),
             None if key_field.kind == Kind::Bool => "false".into(),
             None => "0".into(),

@@ -60,7 +60,7 @@ impl<'m> Wire<'m> {
             }
             GROUP_BEGINS => Value::Group(self.group()?),
             5 => Value::Fixed32(u32::from_le_bytes(self.fixed()?)),
-            other => return Err(format!("{other} is no wire type")),
+            other => return Err(format!("{other} is not a wire type")),
         })
     }
 

@@ -73,7 +73,7 @@ impl Clock {
     pub fn note(&self, name: &str) -> Option<String> {
         let shift_s = self.shift_ns.filter(|shift| *shift != 0)? as f64 / 1e9;
         Some(format!(
-            "{name}: its clock begins anew; taken as following the log before it, {shift_s:.3} s later"
+            "{name}: its clock starts again; the log is taken to follow the one before it, {shift_s:.3} s later"
         ))
     }
 }

@@ -45,7 +45,7 @@ impl RosMessage {
     pub(crate) fn visit(&self, message: &[u8], visitor: &mut impl FieldVisitor) -> Result<(), String> {
         let (encapsulation, body) = message
             .split_at_checked(ENCAPSULATION_BYTES)
-            .ok_or_else(|| format!("{} bytes are no CDR message", message.len()))?;
+            .ok_or_else(|| format!("{} bytes are not a CDR message", message.len()))?;
         // The second byte is the representation: plain CDR, big or little endian.
         match encapsulation[1] {
             0 => self.walk(CdrReader::<BigEndian>::new(body), visitor),

@@ -92,7 +92,7 @@ fn head_of(input: &mut impl Read) -> std::io::Result<Vec<u8>> {
 }
 
 fn mcap_from_pipe(name: &str) -> LogError {
-    LogError::data(name, "is an MCAP log; name its file, MCAP is not read from a pipe")
+    LogError::data(name, "this is an MCAP log; name its file, since MCAP is not read from a pipe")
 }
 
 /// A log that ends in a failure where none of its commands was a number: nobody is to take silence for health.
@@ -143,7 +143,7 @@ fn open_text(
     if kind == LogKind::Candump {
         let decoder = frame_decoder(mapping).map_err(|error| match error {
             LogError::Mapping { what } if mapping.dbc.is_none() => {
-                LogError::mapping(format!("{name}: is a CAN log; {what}"))
+                LogError::mapping(format!("{name}: this is a CAN log; {what}"))
             }
             other => other,
         })?;

@@ -202,7 +202,7 @@ impl Topics {
         let decoder = if self.decoder_bytes <= DECODERS_BYTES {
             Decoder::new(&channel.encoding, schema)
         } else {
-            Err("is not looked into: the schemas of the topics before it are as many as are".into())
+            Err("is not looked into, since only so many schemas are".into())
         };
         let topic = TopicSurvey {
             mapping_topic: channel.topic.clone(),
@@ -231,7 +231,7 @@ impl Topics {
     }
 
     fn note(&self) -> Option<String> {
-        (self.left_out > 0).then(|| format!("{} topics more, which are left out here", self.left_out))
+        (self.left_out > 0).then(|| format!("{} more topics, which are left out here", self.left_out))
     }
 }
 
@@ -263,7 +263,7 @@ fn survey_csv(
     if !known {
         notes.push(format!("no column `{time_column}` for the time; name it with --time-column"));
     } else if unit != TimeUnit::S {
-        notes.push(format!("by its name the column `{time_column}` is taken to be in {}", unit.name()));
+        notes.push(format!("by its name, the column `{time_column}` is taken to be in {}", unit.name()));
     }
     let time = known.then(|| TimeGuess { column: time_column.to_owned(), unit });
     Ok((topic.finished(), time, notes))
@@ -291,11 +291,12 @@ fn survey_candump(
     unreadable += bus.left_out;
     let mut notes = Vec::new();
     if unreadable > 0 {
-        notes.push(format!("{unreadable} lines left out"));
+        notes.push(format!("{unreadable} lines were left out"));
     }
     if !fractions && any {
         notes.push(
-            "the time stamps are whole seconds: too coarse for replay; record with `candump -l`".into(),
+            "the time stamps are whole seconds, which is too coarse for replay; record with `candump -l`"
+                .into(),
         );
     }
     if dbc.is_none() {
@@ -447,7 +448,7 @@ impl LogSurvey {
             }
             match &guess.bits {
                 Some(bits) => {
-                    text += "# A field that moves as a valve command does; no DBC file names it. Check it.\n";
+                    text += "# A field that moves as a valve command does, without a name from a DBC file. Check it.\n";
                     text += &format!("bits = {}\n", bits.to_toml());
                 }
                 None => text += &format!("field = {}\n", toml_text(&guess.field)),

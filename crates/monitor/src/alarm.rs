@@ -479,7 +479,7 @@ mod tests {
         };
         assert_eq!(
             told(&[(0.098, true), (0.11, true), (0.1, true)]),
-            "the sum over cycles finds more leakage than at the baseline, 3 cycles at 0.098 … 0.110 L/min"
+            "the CUSUM finds more leakage than at the baseline, 3 cycles at 0.098 … 0.110 L/min"
         );
         assert_eq!(told(&[(0.4, false); 3]), "3 cycles at 0.400 … 0.400 L/min, threshold 0.3 L/min");
         // Above the threshold it is the threshold, whatever the sums say besides.

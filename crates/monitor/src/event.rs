@@ -198,7 +198,7 @@ impl fmt::Display for Evidence {
             return f.write_str(&reason.replace('_', " "));
         }
         if self.grounds == Grounds::SumOverCycles {
-            f.write_str("the sum over cycles finds more leakage than at the baseline, ")?;
+            f.write_str("the CUSUM finds more leakage than at the baseline, ")?;
         }
         match self.cycles {
             1 => f.write_str("1 cycle at ")?,

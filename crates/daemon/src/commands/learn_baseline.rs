@@ -156,9 +156,9 @@ fn learn(
                 rejected.iter().map(|(name, count)| format!("{count} {name}")).collect();
             let rejected =
                 if listed.is_empty() { String::new() } else { format!(" (rejected: {})", listed.join(", ")) };
-            Failure::data(format!("no baseline: {message}{rejected}"))
+            Failure::data(format!("no baseline could be learned: {message}{rejected}"))
         }),
-        (None, None) => Err(Failure::data("no baseline".to_owned())),
+        (None, None) => Err(Failure::data("no baseline could be learned".to_owned())),
     }
 }
 

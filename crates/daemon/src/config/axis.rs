@@ -141,7 +141,7 @@ impl SourceConfig {
     /// One line that names the key.
     pub fn check(&self) -> Result<(), String> {
         if self.can.is_some() && self.log.is_some() {
-            return Err("source: has both `can` and `log`; an axis has one source".into());
+            return Err("source: both `can` and `log` are given, but an axis has one source".into());
         }
         if !(0.1..=3600.0).contains(&self.stale_after_s) {
             return Err(format!("source.stale_after_s is {}; it must lie in 0.1 … 3600", self.stale_after_s));
@@ -149,7 +149,7 @@ impl SourceConfig {
         if let Some(interface) = self.can.as_deref().filter(|name| !name.starts_with("unix:"))
             && (interface.is_empty() || interface.len() > 15 || interface.contains(['/', ' ']))
         {
-            return Err(format!("source.can is `{interface}`, which is no interface's name"));
+            return Err(format!("source.can is `{interface}`, which cannot be the name of an interface"));
         }
         Ok(())
     }
@@ -188,7 +188,7 @@ impl AxisConfig {
             return Ok(());
         }
         if self.model.is_some() || self.baseline.file.is_some() {
-            return Err("duty_cycles: each names its own model and baseline; `model` and `baseline.file` are then left out".into());
+            return Err("duty_cycles: each has a model and a baseline of its own; leave out `model` and `baseline.file`".into());
         }
         let names = self.duty_cycles.iter().map(|duty_cycle| duty_cycle.name.as_str());
         names.clone().try_for_each(|name| check_name("duty_cycles: name", name))?;
@@ -213,7 +213,7 @@ impl AxisConfig {
 
     /// What is allowed and should be known.
     pub(super) fn remark(&self) -> Option<String> {
-        let what = "no signal is mapped; each is looked for under its own name, in MCAP logs on the one topic that ends in /signals";
+        let what = "no signal is mapped, so each is looked for under its own name, and in MCAP logs on the only topic that ends in /signals";
         self.signals.is_empty().then(|| format!("axis {}: {what}", self.axis))
     }
 
@@ -260,9 +260,7 @@ impl AxisConfig {
     fn model_file(&self, duty_cycle: Option<&str>) -> &Path {
         let named = |known: &&DutyCycleConfig| Some(known.name.as_str()) == duty_cycle;
         let of_duty_cycle = self.duty_cycles.iter().find(named).map(|known| &known.model);
-        of_duty_cycle
-            .or(self.model.as_ref())
-            .map_or(Path::new("the model that the program brings"), PathBuf::as_path)
+        of_duty_cycle.or(self.model.as_ref()).map_or(Path::new("the embedded model"), PathBuf::as_path)
     }
 
     fn read_models(&self) -> Result<Vec<DutyCycle>, Failure> {
@@ -278,7 +276,7 @@ impl AxisConfig {
                 && first != rate_hz
             {
                 let what = format!(
-                    "reads {rate_hz} Hz, the first duty cycle's model {first} Hz; an axis has one command at one rate"
+                    "it reads {rate_hz} Hz, but the model of the first duty cycle reads {first} Hz; an axis has one command at one rate"
                 );
                 return Err(Failure::configuration(&duty_cycle.model, what));
             }
@@ -309,7 +307,7 @@ impl AxisConfig {
 /// [`Failure`] where it does not pass its checks, which a test rules out.
 pub fn embedded_model() -> Result<Model, Failure> {
     Model::from_json(crate::EMBEDDED_MODEL)
-        .map_err(|error| Failure::new(Code::Internal, format!("the model that the program brings: {error}")))
+        .map_err(|error| Failure::new(Code::Internal, format!("the embedded model: {error}")))
 }
 
 /// Reads and checks a model file.

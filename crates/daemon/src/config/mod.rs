@@ -74,7 +74,7 @@ impl DaemonConfig {
         }
         if top != AxisConfig::default() {
             return Err(
-                "the file describes one axis at its top and others in [[axes]]; move the former there".into(),
+                "the file describes one axis at its top and others in [[axes]]; move the first one there as well".into(),
             );
         }
         Ok(DaemonConfig { axes, sinks, state_dir })
@@ -87,12 +87,12 @@ impl DaemonConfig {
     pub fn into_axis(self, name: Option<&str>) -> Result<AxisConfig, String> {
         let names = self.axes.iter().map(|axis| axis.axis.as_str()).collect::<Vec<_>>().join(", ");
         if name.is_none() && self.axes.len() > 1 {
-            return Err(format!("has several axes; choose one by --axis: {names}"));
+            return Err(format!("the file has several axes; choose one with --axis: {names}"));
         }
         self.axes
             .into_iter()
             .find(|axis| name.is_none_or(|name| name == axis.axis))
-            .ok_or_else(|| format!("has no axis `{}`; it has {names}", name.unwrap_or_default()))
+            .ok_or_else(|| format!("the file has no axis `{}`; it has {names}", name.unwrap_or_default()))
     }
 
     /// What the configuration allows and should be known, a line each.
@@ -123,7 +123,7 @@ fn check_name(key: &str, text: &str) -> Result<(), String> {
         return Ok(());
     }
     Err(format!(
-        "{key} is `{}`; a name has letters, digits, spaces and . _ - between letters or digits, at most {LONGEST_NAME} bytes",
+        "{key} is `{}`; a name has letters, digits, spaces and . _ - between letters or digits, and at most {LONGEST_NAME} bytes",
         text.escape_debug()
     ))
 }

@@ -42,8 +42,8 @@ impl Default for HttpConfig {
 impl HttpConfig {
     /// What is allowed and should be known.
     fn remark(&self) -> Option<String> {
-        let what = "whoever is logged in to this machine can read the page and give orders";
-        self.token_file.is_none().then(|| format!("http: has no token_file: {what}"))
+        let what = "anybody who is logged in to this machine can read the page and give orders";
+        self.token_file.is_none().then(|| format!("http: there is no token_file: {what}"))
     }
 }
 
@@ -122,8 +122,8 @@ impl MqttConfig {
     /// What is allowed and should be known.
     fn remark(&self) -> Option<String> {
         let readable = self.password_file.is_some() && !self.tls && !self.is_local();
-        let what = "whoever listens on the way to the broker can read the password";
-        readable.then(|| format!("mqtt: has a password_file without tls: {what}"))
+        let what = "anybody on the way to the broker can read the password";
+        readable.then(|| format!("mqtt: there is a password_file, but no tls: {what}"))
     }
 
     fn check(&self) -> Result<(), String> {
@@ -133,7 +133,7 @@ impl MqttConfig {
         let wrong = |c: char| ['#', '+'].contains(&c) || c.is_control();
         if self.prefix.is_empty() || self.prefix.contains(wrong) || self.prefix.starts_with('$') {
             return Err(format!(
-                "mqtt.prefix is `{}`; topics have no # and +, no leading $ and no control characters",
+                "mqtt.prefix is `{}`; topics must not have #, + or control characters, or begin with $",
                 self.prefix
             ));
         }
@@ -141,10 +141,10 @@ impl MqttConfig {
             return Err(format!("mqtt.spool_events is {}; it must lie in 1 … 1000000", self.spool_events));
         }
         if self.certificate_file.is_some() != self.key_file.is_some() {
-            return Err("mqtt: certificate_file and key_file come together".into());
+            return Err("mqtt: certificate_file and key_file must be given together".into());
         }
         if self.password_file.is_some() && self.username.is_none() {
-            return Err("mqtt.password_file is there, but no username".into());
+            return Err("mqtt.password_file is given, but no username".into());
         }
         Ok(())
     }

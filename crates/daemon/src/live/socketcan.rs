@@ -193,9 +193,9 @@ fn opening(place: &str, error: &io::Error) -> String {
     match error.raw_os_error().map(Errno::from_raw) {
         Some(Errno::ENODEV) => format!("there is no interface {place} yet; waiting for it"),
         Some(Errno::EAFNOSUPPORT) => {
-            format!("opening {place}: this kernel has no CAN sockets (load the module can_raw)")
+            format!("{place} cannot be opened: this kernel has no CAN sockets (load the module can_raw)")
         }
-        _ => format!("opening {place}: {error}"),
+        _ => format!("{place} cannot be opened: {error}"),
     }
 }
 

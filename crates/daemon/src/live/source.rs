@@ -98,7 +98,7 @@ impl LiveSource {
             (None, None) => Err(Failure::new(
                 Code::Configuration,
                 format!(
-                    "axis {}: has no source; set source.can (a CAN interface) or source.log (a log)",
+                    "axis {}: there is no source; set source.can (a CAN interface) or source.log (a log)",
                     config.axis
                 ),
             )),
@@ -188,10 +188,9 @@ impl PlayedLog {
                 }
             }
         };
-        thread::Builder::new()
-            .name("log".into())
-            .spawn(read)
-            .map_err(|error| Failure::new(Code::Internal, format!("starting to read a log: {error}")))?;
+        thread::Builder::new().name("log".into()).spawn(read).map_err(|error| {
+            Failure::new(Code::Internal, format!("the log cannot be read in the background: {error}"))
+        })?;
         let health = SourceHealth { name: path.display().to_string(), ..SourceHealth::default() };
         Ok(PlayedLog {
             portions,

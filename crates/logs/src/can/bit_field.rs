@@ -47,10 +47,10 @@ pub enum BitFieldError {
         most: usize,
     },
     /// No frame is that long.
-    #[error("ends beyond byte {MOST_BYTES}, the longest frame's last")]
+    #[error("ends beyond byte {MOST_BYTES}, the last byte of the longest frame")]
     BeyondFrame,
     /// Factor or offset are not finite.
-    #[error("has a factor or an offset that is no number")]
+    #[error("has a factor or an offset that is not a number")]
     NotANumber,
 }
 

@@ -30,7 +30,7 @@ impl<'a> Line<'a> {
             .strip_prefix(b"(")
             .and_then(|stamp| stamp.strip_suffix(b")"))
             .ok_or("it does not begin with a time in parentheses")?;
-        let (time_ns, whole_second) = time_ns(stamp).ok_or("its time is no number of seconds")?;
+        let (time_ns, whole_second) = time_ns(stamp).ok_or("its time is not a number of seconds")?;
         let interface = words.next().ok_or("it names no interface")?;
         let frame = frame(words.next().ok_or("it has no frame")?)?;
         Ok(Line { time_ns, whole_second, interface, frame })

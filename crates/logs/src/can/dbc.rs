@@ -169,14 +169,17 @@ impl Dbc {
         let all: Vec<&str> = full.iter().map(String::as_str).chain(short).collect();
         let hint = match nearest(name, all.iter().copied()) {
             Some(near) => format!("; did you mean `{near}`?"),
-            None if full.is_empty() => "; it has no signals at all".into(),
+            None if full.is_empty() => "; the file has no signals at all".into(),
             None => {
                 let more =
                     if full.len() > 8 { format!(" and {} more", full.len() - 8) } else { String::new() };
-                format!("; it has {}{more}", full.iter().take(8).cloned().collect::<Vec<_>>().join(", "))
+                format!(
+                    "; the file has {}{more}",
+                    full.iter().take(8).cloned().collect::<Vec<_>>().join(", ")
+                )
             }
         };
-        format!("{}: names no signal `{name}`{hint}", self.file)
+        format!("{}: there is no signal `{name}`{hint}", self.file)
     }
 
     /// The signals of a frame that can be read, up to so many.
@@ -190,15 +193,15 @@ impl Dbc {
     }
 
     fn resolve(&self, message: &Message, signal: &Signal) -> Result<CanSignal, String> {
-        let identifier = self
-            .identifier(message)
-            .ok_or_else(|| format!("is in the message {}, whose identifier is none of CAN", message.name))?;
+        let identifier = self.identifier(message).ok_or_else(|| {
+            format!("is in the message {}, whose identifier cannot occur on a CAN bus", message.name)
+        })?;
         let field = self.field(message, signal).map_err(|error| error.to_string())?;
         // Sizes of 0 stand for a length that varies.
         let size = message.size as usize;
         if size > 0 && field.least_bytes() > size {
             return Err(format!(
-                "ends in byte {} of the message {}, which has {size}",
+                "ends in byte {} of the message {}, which has {size} bytes",
                 field.least_bytes(),
                 message.name
             ));
@@ -270,7 +273,7 @@ impl Dbc {
             selectors.push(Selector { field, ranges });
             inner = outer;
         }
-        Err(format!("is multiplexed in a circle, or more than {DEEPEST_MULTIPLEX} levels deep"))
+        Err(format!("is multiplexed by itself, or more than {DEEPEST_MULTIPLEX} levels deep"))
     }
 
     /// `Message.Signal`, by the long names where the file cuts them to 32 characters.
@@ -302,7 +305,7 @@ fn one_line(error: &DbcError) -> String {
     let what = text.lines().find_map(|line| line.trim().strip_prefix("= ")).unwrap_or(text.trim());
     let what = what.replace('\n', " ");
     match place.and_then(|place| place.split_once(':')) {
-        Some((line, column)) => format!("line {line}, column {column}: not a DBC file: {what}"),
-        None => format!("not a DBC file: {what}"),
+        Some((line, column)) => format!("line {line}, column {column}: this is not a DBC file: {what}"),
+        None => format!("this is not a DBC file: {what}"),
     }
 }

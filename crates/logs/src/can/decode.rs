@@ -88,7 +88,7 @@ impl FrameDecoder {
             && counter.source.identifier != command.source.identifier
         {
             return Err(LogError::mapping(format!(
-                "source.counter is in the frame {}, signals.command in {}; name a counter of the command's own frame, which it times",
+                "source.counter is in the frame {}, but signals.command is in {}; name a counter in the frame of the command, since it times that frame",
                 counter.source.identifier, command.source.identifier
             )));
         }
@@ -156,7 +156,7 @@ impl FrameDecoder {
     /// What the command is called and where it is, for messages.
     pub fn command_place(&self) -> String {
         let command = self.wanted.iter().find(|wanted| wanted.signal == Signal::Command);
-        command.map_or("a command: the mapping has none".into(), |wanted| {
+        command.map_or("a command, which the mapping does not name".into(), |wanted| {
             let interface = String::from_utf8_lossy(&wanted.interface);
             let on = if interface.is_empty() { String::new() } else { format!(" on {interface}") };
             format!("{} (identifier {}){on}", wanted.source.name, wanted.source.identifier)
@@ -277,7 +277,7 @@ mod tests {
             .unwrap()
             .to_string();
         assert!(
-            message.starts_with("source.counter is in the frame 124, signals.command in 123"),
+            message.starts_with("source.counter is in the frame 124, but signals.command is in 123"),
             "{message}"
         );
     }

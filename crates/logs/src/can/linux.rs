@@ -28,7 +28,7 @@ pub fn parse(bytes: &[u8]) -> Result<Frame, &'static str> {
     let most = match bytes.len() {
         CLASSIC_BYTES => CLASSIC_DATA,
         FD_BYTES => MOST_BYTES,
-        _ => return Err("has neither 16 bytes nor 72"),
+        _ => return Err("has neither 16 nor 72 bytes"),
     };
     let (Some(word), Some(length)) = (bytes.first_chunk::<4>(), bytes.get(4)) else {
         return Err("has no identifier");

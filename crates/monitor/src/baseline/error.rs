@@ -8,17 +8,17 @@ use super::LEAST_CYCLES;
 #[non_exhaustive]
 pub enum BaselineError {
     /// The model compares with no baseline.
-    #[error("the model has no estimates relative to a baseline; train it anew: seepd train")]
+    #[error("the model has no estimates relative to a baseline; train it again: seepd train")]
     CannotCompare,
     /// Too few cycles could be used.
-    #[error("{usable} usable cycles; a baseline needs {LEAST_CYCLES}, and 50 are better")]
+    #[error("there are {usable} usable cycles; a baseline needs {LEAST_CYCLES}, and 50 are better")]
     TooFewCycles {
         /// How many could.
         usable: usize,
     },
     /// Too few of the cycles are alike.
     #[error(
-        "of {cycles} cycles {unlike} differ from the others more than any load, oil or leak explains; a baseline needs \
+        "{unlike} of {cycles} cycles differ from the others more than any load, oil or leak explains; a baseline needs \
          {LEAST_CYCLES} alike: is it one duty cycle?"
     )]
     TooFewAlike {
@@ -28,10 +28,10 @@ pub enum BaselineError {
         unlike: usize,
     },
     /// The text is not JSON of that form.
-    #[error("is no baseline: {0}")]
+    #[error("this is not a baseline: {0}")]
     NotABaseline(#[from] serde_json::Error),
     /// Another version wrote it.
-    #[error("has the schema {schema}; this version reads {read}")]
+    #[error("its schema is {schema}; this version reads {read}")]
     OtherVersion {
         /// The file's.
         schema: String,
@@ -39,10 +39,10 @@ pub enum BaselineError {
         read: &'static str,
     },
     /// Another model learned it.
-    #[error("was learned with another model; learn it again with this one: seepd learn-baseline")]
+    #[error("it was learned with another model; learn it again with this one: seepd learn-baseline")]
     OtherModel,
     /// It is another axis's.
-    #[error("is the baseline of axis {of}, not of {wanted}")]
+    #[error("this is the baseline of axis {of}, not of {wanted}")]
     OtherAxis {
         /// Whose it is.
         of: String,
@@ -61,7 +61,7 @@ pub enum BaselineError {
     #[error("baselines: deviations and noise must be finite and not negative")]
     Deviations,
     /// The load makes no sense.
-    #[error("baselines: load_n must be null, or {least_n} N at least")]
+    #[error("baselines: load_n must be null, or at least {least_n} N")]
     Load {
         /// Smallest load that is a measure of others, N.
         least_n: f64,

@@ -140,9 +140,9 @@ fn remarks(baseline: &Baseline, relative: &Relative, residuals: &[f64]) -> Vec<S
     let mut remarks = Vec::new();
     if baseline.absolute_interval90_m2[0] > 0.0 {
         remarks.push(format!(
-            "the simulator-trained estimate sees a leak of {:.2e} m² in these cycles: if the seal was worn already, estimates count \
+            "the model alone sees a leak of {:.3} mm² in these cycles: if the seal was worn already, estimates count \
              from there, and a new seal will show as an improvement",
-            baseline.absolute_leak_area_m2
+            1e6 * baseline.absolute_leak_area_m2
         ));
     }
     let distance = relative.baseline_distance(&baseline.mean);
@@ -173,7 +173,8 @@ fn remarks(baseline: &Baseline, relative: &Relative, residuals: &[f64]) -> Vec<S
     let reference_m2 = relative.kind(false, &baseline.mean).reference_m2;
     if change.abs() > chance + reference_m2 {
         remarks.push(format!(
-            "from its first to its last cycles the machine changed by {change:+.1e} m² of leak: it was warming up, or it is wearing"
+            "from the first cycles to the last the machine changed by {:+.4} mm² of leak: it was warming up, or it is wearing",
+            1e6 * change
         ));
     }
     remarks

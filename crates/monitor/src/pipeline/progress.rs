@@ -199,15 +199,16 @@ impl Progress {
                                 replaced; learn a new baseline";
                     (NoticeKind::Improved, text.to_owned())
                 }
-                CusumFinding::None => (NoticeKind::LeakGone, "as at the baseline again".to_owned()),
+                CusumFinding::None => {
+                    (NoticeKind::LeakGone, "the leakage is that of the baseline again".to_owned())
+                }
             };
             self.tell(config, estimator, news, at_ns, sink);
         }
         let before = std::mem::replace(&mut estimator.announced.load, compared.load);
         if compared.load == LoadKnowledge::Frozen && before != LoadKnowledge::Frozen {
-            let text =
-                "the load's signal stands still over a whole cycle: it is not used; look at its sensor"
-                    .to_owned();
+            let text = "the load signal stands still over a whole cycle and is not used; check its sensor"
+                .to_owned();
             self.tell(config, estimator, (NoticeKind::LoadFrozen, text), at_ns, sink);
         }
     }
@@ -234,8 +235,8 @@ impl Progress {
         );
         let news = if reason == Some(UNLIKE_BASELINE) {
             let text = format!(
-                "{UNLIKE_CYCLES} cycles in a row differ from the baseline as no leak, load, oil or supply of the training explains \
-                 {distance}: has a valve, a sensor or the duty cycle been changed? If the seal is good, learn a new baseline"
+                "{UNLIKE_CYCLES} cycles in a row differ from the baseline in a way that no leak, load, oil or supply of the training \
+                 explains {distance}: has a valve, a sensor or the duty cycle been changed? If the seal is good, learn a new baseline"
             );
             (NoticeKind::UnlikeBaseline, text)
         } else {
