@@ -232,7 +232,7 @@ fn baselines_that_cannot_be_are_refused_with_the_reason() {
     assert!(!place.baseline("few").exists());
     let log = short.to_str().unwrap();
     for (content, words) in [
-        ("{", "is no baseline"),
+        ("{", "is not a baseline"),
         (
             "{\"schema\":\"seepd.baseline/9\",\"axis\":\"a\",\"created_by\":\"\",\"plant_sha256\":\"\",\"phases\":[],\"baselines\":[]}",
             "seepd.baseline/9",

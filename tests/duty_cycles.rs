@@ -262,10 +262,10 @@ fn wrong_duty_cycles_are_one_line_each() {
     let one = "[[duty_cycles]]\nname = \"normal\"\nmodel = \"normal.json\"\n";
     let cases = [
         (format!("{one}{one}"), "two duty cycles are called `normal`"),
-        (format!("model = \"short.json\"\n{one}"), "each names its own model and baseline"),
+        (format!("model = \"short.json\"\n{one}"), "each has a model and a baseline of its own"),
         (one.replace("name = \"normal\"", "name = \"a/b\""), "name is `a/b`"),
         (one.replace("normal.json", "missing.json"), "missing.json"),
-        (format!("{one}baseline = \"short.json\"\n"), "is no baseline"),
+        (format!("{one}baseline = \"short.json\"\n"), "is not a baseline"),
         (one.replace("model", "modell"), "modell"),
     ];
     for (text, wanted) in cases {

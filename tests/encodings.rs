@@ -222,7 +222,7 @@ fn message_that_does_not_fit_its_schema_is_left_out_and_told() {
     assert_eq!(notes.len(), 1);
     assert!(
         notes[0].starts_with(
-            "log: 1 messages left out as unreadable, the first at 5 ns: does not fit its schema"
+            "log: 1 messages were left out as unreadable, the first at 5 ns: does not fit its schema"
         ),
         "{notes:?}"
     );

@@ -118,7 +118,7 @@ fn a_small_leak_after_a_baseline_is_found() {
     let page = fs::read_to_string(page).unwrap();
     assert!(page.starts_with("<!DOCTYPE html>") && !page.contains("NaN") && !page.contains("http"));
     for told in [
-        "sums over cycles",
+        "CUSUM over cycles",
         "relative to the baseline",
         "Smallest leak found by 95 %",
         "Receiver operating curves",
@@ -129,9 +129,9 @@ fn a_small_leak_after_a_baseline_is_found() {
     let text = stdout(&seepd(["evaluate", "--one-machine", "--learn-cycles", "25", &logs[0], &logs[1]]));
     for told in [
         "Sizes, relative to the baseline:",
-        "Detection by sums over cycles:",
+        "Detection by CUSUM over cycles:",
         "0 false alarms in 9 cycles",
-        "Receiver operating curve of sum over cycles",
+        "Receiver operating curve of CUSUM over cycles",
     ] {
         assert!(text.contains(told), "{told}:\n{text}");
     }

@@ -456,7 +456,7 @@ fn a_protobuf_command_that_is_absent_is_no_sample() {
         let definition = if syntax == "proto3" { &explicit } else { &implicit };
         let (samples, text) = count(&descriptor_set(syntax, definition), "explicit.mcap");
         assert_eq!(samples, 90, "{what}");
-        let told = "10 messages left out that hold no command, the first at 3000000 ns";
+        let told = "10 messages were left out since they have no command, the first at 3000000 ns";
         assert!(text.contains(told), "{what}: {text}");
     }
     // Without presence a writer leaves out what is 0.
@@ -603,9 +603,9 @@ fn a_log_of_which_nothing_can_be_used_is_a_failure() {
         (
             "words.mcap",
             of_five("{\"command\":\"fast\"}"),
-            "5 messages left out as unreadable, the first at 0 ns: `fast` is not a number",
+            "5 messages were left out as unreadable, the first at 0 ns: `fast` is not a number",
         ),
-        ("without.mcap", of_five("{\"x\":1}"), "5 messages left out that hold no command, the first at 0 ns"),
+        ("without.mcap", of_five("{\"x\":1}"), "5 messages were left out since they have no command, the first at 0 ns"),
         ("short.log", candump.into_bytes(), "2 of them too short for the mapped signals"),
     ] {
         let path = file(&folder, name, content);
@@ -637,7 +637,7 @@ fn the_proposed_mapping_has_the_time_column_and_its_unit() {
     let inspected = seepd(["inspect", "--time-column", "time_ms", log]);
     let proposed = support::stdout(&inspected);
     assert!(proposed.starts_with("time_column = \"time_ms\"\ntime_unit = \"ms\"\n"), "{proposed}");
-    let told = "by its name the column `time_ms` is taken to be in ms";
+    let told = "by its name, the column `time_ms` is taken to be in ms";
     assert!(
         stderr(&inspected).contains(told) && stderr(&inspected).contains("1000.0 Hz"),
         "{}",

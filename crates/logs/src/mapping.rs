@@ -75,7 +75,7 @@ pub fn check_signals(signals: &BTreeMap<Signal, SignalMapping>) -> Result<(), Lo
         if !mapping.scale.is_finite() || mapping.scale == 0.0 || !mapping.offset.is_finite() {
             let name = signal.name();
             return Err(LogError::mapping(format!(
-                "signals.{name}: scale must be finite and not 0, offset finite"
+                "signals.{name}: scale must be finite and not 0, and offset must be finite"
             )));
         }
     }

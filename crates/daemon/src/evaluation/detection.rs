@@ -23,7 +23,7 @@ impl Detector {
     /// What it is called in tables.
     pub fn name(self) -> &'static str {
         match self {
-            Detector::Sums => "sums over cycles",
+            Detector::Sums => "CUSUM over cycles",
             Detector::Flags => "flag watch or higher",
         }
     }

@@ -26,7 +26,7 @@ impl Score {
     /// What it is called in tables.
     pub fn name(self) -> &'static str {
         match self {
-            Score::Cusum => "sum over cycles",
+            Score::Cusum => "CUSUM over cycles",
             Score::LeakResidual => "one cycle, relative to the baseline",
             Score::AbsoluteEstimate => "one cycle, without a baseline",
         }

@@ -284,7 +284,7 @@ impl CycleEstimator {
             Err(error) => {
                 let anew = Learner::new(learner.occasion(), learner.wanted());
                 self.commissioning = Commissioning::Learning(anew);
-                Some(Err(format!("no baseline: {error}; learning begins anew")))
+                Some(Err(format!("no baseline could be learned: {error}; learning starts again")))
             }
         }
     }
