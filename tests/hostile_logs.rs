@@ -605,7 +605,11 @@ fn a_log_of_which_nothing_can_be_used_is_a_failure() {
             of_five("{\"command\":\"fast\"}"),
             "5 messages were left out as unreadable, the first at 0 ns: `fast` is not a number",
         ),
-        ("without.mcap", of_five("{\"x\":1}"), "5 messages were left out since they have no command, the first at 0 ns"),
+        (
+            "without.mcap",
+            of_five("{\"x\":1}"),
+            "5 messages were left out since they have no command, the first at 0 ns",
+        ),
         ("short.log", candump.into_bytes(), "2 of them too short for the mapped signals"),
     ] {
         let path = file(&folder, name, content);
