@@ -937,7 +937,7 @@ fn two_hundred_kills_at_random_moments_leave_state_recording_and_spool_whole() {
     }
 }
 
-/// Long: `SEEPD_BIN=target/release/seepd cargo test -p seepd --test live -- --ignored --nocapture load`.
+/// Long: `SEEPD_BIN=target/dist/seepd cargo test -p seepd --test live -- --ignored --nocapture load`.
 #[test]
 #[ignore = "two minutes, and meant for an idle machine"]
 fn load_of_a_thousand_frames_a_second_with_all_sinks() {
@@ -985,7 +985,7 @@ fn load_of_a_thousand_frames_a_second_with_all_sinks() {
     machine.stop();
 }
 
-/// Long: `SEEPD_BIN=target/release/seepd cargo test -p seepd --test live -- --ignored --nocapture day`.
+/// Long: `SEEPD_BIN=target/dist/seepd cargo test -p seepd --test live -- --ignored --nocapture day`.
 #[test]
 #[ignore = "some minutes"]
 fn a_day_at_speed_keeps_memory_flat() {
