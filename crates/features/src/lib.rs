@@ -1,12 +1,4 @@
-//! From a valve command to the features of each duty cycle: intake checks, Kalman filter, cycle
-//! segmentation, features.
-//!
-//! `no_std`, no allocation, no panic on any input, finite or not. Configuration is borrowed ([`CycleReader`]),
-//! state is a value ([`CycleState`]): the same two types run over a log, on a live bus and on a
-//! microcontroller, and give the same bits.
-//!
-//! The way of a sample: [`intake`] (order, gaps, range) → [`kalman`] → ring buffer of one cycle →
-//! [`segment`] (where cycles are) → [`feature`] (what they look like).
+#![doc = include_str!("../README.md")]
 #![no_std]
 
 pub mod feature;

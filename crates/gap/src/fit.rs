@@ -268,7 +268,7 @@ pub struct Fit<A> {
 const LEAST_GAIN: (f64, f64) = (0.02, 1e-3);
 /// Dampings that are tried side by side, times the present one: one batch of lanes.
 const DAMPINGS: [f64; LANES] = [0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0];
-/// EffectValues of wear from which the best is the start: two batches of lanes, each value about twice the one before.
+/// Values of wear from which the best is the start: two batches of lanes, each value about twice the one before.
 const WEAR_VALUES: usize = 2 * LANES;
 /// The smallest of them over the largest.
 const SMALLEST_WEAR: f64 = 1e-4;

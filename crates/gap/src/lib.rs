@@ -1,9 +1,4 @@
-//! Where a simulator and a machine part, which effect that the simulator lacks causes it, and how far the gap shrinks once that
-//! effect is added.
-//!
-//! The way: [`record`] aligns a log with the duty cycle and cuts it into cycles; [`simulate`] runs machines along the recorded
-//! drive and bins what they show; [`fit`] calibrates the plant's own parameters and fits effects; [`screen`] picks the effects that are
-//! worth fitting; [`rank`] weighs effects, "no effect" and "none of these"; [`places`] tells where the gap is; [`diagnosis`] puts it together.
+#![doc = include_str!("../README.md")]
 
 pub mod diagnosis;
 pub mod electric;

@@ -18,7 +18,7 @@ pub const ENOUGH_CYCLES: usize = 12;
 /// A log as read: one value a controller tick, NaN where there is none.
 #[derive(Debug, Clone, Default)]
 pub struct Log {
-    /// EffectValues of each signal by [`Signal`]'s number; empty for a signal that the log lacks.
+    /// Values of each signal by [`Signal`]'s number; empty for a signal that the log lacks.
     pub values: [Vec<f64>; Signal::ALL.len()],
 }
 

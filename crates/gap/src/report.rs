@@ -130,7 +130,7 @@ pub struct RankedEffect {
     pub law: &'static str,
     /// Probability.
     pub probability: f64,
-    /// EffectValues.
+    /// Values.
     pub parameters: BTreeMap<&'static str, f64>,
     /// Their 95 % intervals.
     pub interval95: BTreeMap<&'static str, [f64; 2]>,

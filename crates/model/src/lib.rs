@@ -1,8 +1,4 @@
-//! The `seepd.model/1` ensemble: schema, checks and evaluation.
-//!
-//! A model is self-contained: sample rate, filter, duty cycle, feature definitions, trees, calibration, and golden
-//! input/output pairs that are checked as it is loaded. [`Model::from_json`] is the only way to one, so a
-//! [`Model`] in hand has been checked and evaluates without a panic. `no_std` with `alloc`.
+#![doc = include_str!("../README.md")]
 #![no_std]
 
 extern crate alloc;

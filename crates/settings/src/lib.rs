@@ -1,7 +1,4 @@
-//! Reads users' TOML files: errors with line and the nearest known key.
-//!
-//! The simulator's `plant.toml` and the daemon's `seepd.toml` are read by the same few functions, and neither crate
-//! should need the other for them.
+#![doc = include_str!("../README.md")]
 
 pub mod side_file;
 

@@ -1,7 +1,4 @@
-//! Names and units of the signals of a hydraulic axis, and a timed sample of them.
-//!
-//! Every other crate, every log, mapping and message uses these names. The crate is `no_std` and
-//! allocates nothing, so that it can sit in a controller as well as on a gateway.
+#![doc = include_str!("../README.md")]
 #![no_std]
 
 use serde::{Deserialize, Serialize};

@@ -1,12 +1,4 @@
-//! The simulated axis: hydraulic plant, 1 kHz PID controller, duty cycle and the catalogue of effects.
-//!
-//! The plant is the one of the article "Characterization of Leakage Fault in Hydraulic Cylinders
-//! Leading to Sustainable Maintenance Planning of Equipment", equations (1)–(5), with the corrections
-//! that [`plant`] lists. One source of equations, generic over [`Real`], serves both ways of running it:
-//! a scalar machine ([`Machine<f64>`]) and many machines side by side in SIMD lanes ([`batch`]).
-//! Whatever the plant does not say is an *effect* ([`effects`]), off unless the machine's file asks for it.
-//!
-//! Everything is in SI units; pressures are gauge.
+#![doc = include_str!("../README.md")]
 
 pub mod batch;
 pub mod controller;

@@ -1,10 +1,4 @@
-//! The source article's figures again, on the plant with its equations corrected: each with what it shows, whether that agrees
-//! with the article's text, and where not, why.
-//!
-//! The article is "Characterization of Leakage Fault in Hydraulic Cylinders Leading to Sustainable Maintenance Planning of
-//! Equipment". [`cycles`] simulates, [`features`] reads the cycles with the monitor's own code, [`ensemble`] learns the article's way
-//! and compares it with the program's model, [`limits`] finds the smallest leak that one cycle shows, [`holding`] the largest
-//! that the controller holds, [`claims`] says what agrees.
+#![doc = include_str!("../README.md")]
 
 pub mod claims;
 pub mod cycles;
