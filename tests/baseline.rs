@@ -103,9 +103,9 @@ fn a_baseline_of_a_leaking_machine_is_remarked_on_and_its_new_seal_shows_as_impr
     let place = &*PLACE;
     let worn = place.log("worn", &["--cycles", "30", "--leak-area", "3e-7"]);
     let output = learn(&place.baseline("worn"), &[&worn], &[]);
-    let told_m2 =
+    let told_mm2 =
         stderr(&output).split_once("a leak of ").and_then(|(_, rest)| rest.split(' ').next()?.parse().ok());
-    assert!(told_m2.is_some_and(|told: f64| (told / 3e-7 - 1.0).abs() < 0.05), "{}", stderr(&output));
+    assert!(told_mm2.is_some_and(|told: f64| (told / 0.3 - 1.0).abs() < 0.05), "{}", stderr(&output));
     let mended = place.log("mended", &["--cycles", "10", "--seed", "7"]);
     assert!(told(place, "worn", &mended).contains("less leakage than at the baseline"));
     // The record keeps the old one.

@@ -241,7 +241,7 @@ fn dropped_samples_and_few_cycles_are_told_and_the_rest_is_used() {
     assert_eq!(found["cycles"]["used"], 4);
     assert_eq!(found["verdict"], "no_gap", "{found}");
     let notes = found["notes"].to_string();
-    assert!(notes.contains("1 cycles left out") && notes.contains("only 4 cycles"), "{notes}");
+    assert!(notes.contains("1 cycles were left out") && notes.contains("only 4 cycles"), "{notes}");
     assert!(found["reason"].as_str().unwrap().contains("only 4 cycles"));
 }
 

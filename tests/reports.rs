@@ -170,7 +170,7 @@ fn a_report_against_a_baseline_shows_its_record_and_what_the_estimate_comes_from
     for told in [
         "commissioning &lt;1&gt;",
         "seal replaced <b>(in force)</b>",
-        "sees a leak of 2.0",
+        "sees a leak of 0.20",
         "estimate, relative to the baseline",
         "the model alone",
         "contribution, mm²",

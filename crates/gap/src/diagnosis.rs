@@ -253,8 +253,9 @@ fn verdict<A: SimulatedAxis>(
     ranked: &RankedExplanations<A>,
 ) -> (Verdict, Option<String>) {
     let largest = |fit: &Fit<A>| problem.by_signal(&fit.residual).into_iter().fold(0.0, f64::max);
-    let few = (record.cycles.len() < ENOUGH_CYCLES)
-        .then(|| format!("only {} cycles; {ENOUGH_CYCLES} or more are wanted", record.cycles.len()));
+    let few = (record.cycles.len() < ENOUGH_CYCLES).then(|| {
+        format!("there are only {} cycles; {ENOUGH_CYCLES} or more are wanted", record.cycles.len())
+    });
     let class = ranked.class();
     if ranked.none >= ranked.unknown && ranked.none >= class {
         let verdict = if largest(nominal) <= NO_GAP { Verdict::NoGap } else { Verdict::Parameters };
@@ -275,7 +276,7 @@ fn verdict<A: SimulatedAxis>(
         .filter(|(_, probability)| *probability > 0.1)
         .map(|(effect, _)| effect.key)
         .collect();
-    (Verdict::CannotTell, Some(format!("several effects explain the log alike: {}", names.join(", "))))
+    (Verdict::CannotTell, Some(format!("several effects explain the log equally well: {}", names.join(", "))))
 }
 
 /// All that a diagnosis is told from.
@@ -476,7 +477,7 @@ fn distinguish<A: SimulatedAxis>(
         told.push(format!("record {sensor} to tell {} from {others}", best.effect));
     }
     if !pressures && !matches!(verdict, Verdict::NoGap | Verdict::Effect) {
-        told.push("record p_cap and p_rod: with pressures most causes are told apart".into());
+        told.push("record p_cap and p_rod: with pressures, most causes can be told apart".into());
     }
     let unseen: Vec<&str> = candidates
         .iter()
@@ -484,7 +485,10 @@ fn distinguish<A: SimulatedAxis>(
         .map(|candidate| candidate.effect.key)
         .collect();
     if !unseen.is_empty() {
-        told.push(format!("with this duty cycle and these signals nothing shows of: {}", unseen.join(", ")));
+        told.push(format!(
+            "with this duty cycle and these signals, these effects cannot be seen: {}",
+            unseen.join(", ")
+        ));
     }
     told
 }

@@ -47,7 +47,7 @@ pub enum RecordError {
     #[error("the log has no {0}; a diagnosis needs command and position")]
     Missing(&'static str),
     /// A signal never changes.
-    #[error("the {0} never changes; this is no log of a machine at work")]
+    #[error("the {0} never changes; this is not the log of a machine at work")]
     Constant(&'static str),
     /// A signal is in other units than SI.
     #[error("{signal} reaches {largest:.4e} {unit}: {advice}")]
@@ -65,7 +65,7 @@ pub enum RecordError {
     #[error(transparent)]
     Mismatch(#[from] Mismatch),
     /// Too few cycles.
-    #[error("{found} usable cycles ({shortage}); at least {LEAST_CYCLES} are needed")]
+    #[error("the log has {found} usable cycles ({shortage}); at least {LEAST_CYCLES} are needed")]
     TooFew {
         /// Usable ones.
         found: usize,
@@ -104,7 +104,7 @@ pub enum Mismatch {
     },
     /// The position runs ahead of the demand.
     #[error(
-        "the position runs ahead of the demand: the clocks of their topics are apart; map the messages' own time"
+        "the position runs ahead of the demand: the clocks of their topics differ; map the time in the messages instead"
     )]
     ClocksApart,
 }
@@ -173,10 +173,10 @@ impl Record {
         };
         let guide = log.get(Signal::Demand).unwrap_or(&asked);
         if log.get(Signal::Demand).is_none() {
-            notes.push("the log has no demand; the plant file's is taken, aligned by what the controller must have been asked".into());
+            notes.push("the log has no demand; that of the plant file is used, aligned with what the controller must have been asked for".into());
         }
         if log.get(Signal::Load).is_none() {
-            notes.push("the log has no load; the plant file's is taken".into());
+            notes.push("the log has no load; that of the plant file is used".into());
         }
         if guide.len() < ticks {
             return Err(RecordError::TooFew { found: 0, shortage: Shortage::ShorterThanACycle });
@@ -199,7 +199,7 @@ impl Record {
             }
         }
         if incomplete > 0 {
-            notes.push(format!("{incomplete} cycles left out: cut off, or with gaps"));
+            notes.push(format!("{incomplete} cycles were left out, since they are cut off or have gaps"));
         }
         if cycles.len() < LEAST_CYCLES {
             let shortage = if incomplete > 0 { Shortage::Incomplete(incomplete) } else { Shortage::Short };
@@ -216,7 +216,10 @@ impl Record {
             return Err(Mismatch::CyclesDiffer.into());
         }
         if !others.is_empty() {
-            notes.push(format!("{} cycles left out: of another kind than the rest", others.len()));
+            notes.push(format!(
+                "{} cycles were left out, since they are of another kind than the rest",
+                others.len()
+            ));
             let mut number = 0;
             cycles.retain(|_| {
                 number += 1;
