@@ -2,10 +2,10 @@
 #![no_std]
 
 pub mod feature;
-pub mod intake;
-pub mod kalman;
-pub mod load;
-pub mod moments;
+mod intake;
+mod kalman;
+mod load;
+mod moments;
 mod noise;
 pub mod reader;
 pub mod segment;
@@ -15,6 +15,6 @@ pub use feature::Feature;
 pub use intake::Counts;
 pub use kalman::{Kalman, KalmanState};
 pub use load::{LoadSummary, PistonAreas};
-pub use moments::Moments;
+pub use moments::MomentSummary;
 pub use reader::{CycleReader, CycleState, Outcome, ReaderError, Reason, RejectedCycle, ValidCycle};
 pub use segment::{Anchor, CycleDefinition, DemandMark, Phase, PhaseKind, Projection, Projections};

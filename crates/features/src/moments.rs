@@ -5,7 +5,7 @@
 /// covariances and arbitrary-order statistical moments", SAND2008-6212 (2008), equations (1.1)–(1.5): as
 /// stable as the update sample by sample, without its division a sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Moments {
+pub(crate) struct Moments {
     count: f64,
     mean: f64,
     m2: f64,
@@ -28,7 +28,7 @@ impl Default for Moments {
 impl Moments {
     /// Takes a sample.
     #[inline]
-    pub fn push(&mut self, value: f64) {
+    pub(crate) fn push(&mut self, value: f64) {
         self.block[self.filled % BLOCK_SAMPLES] = value;
         self.filled += 1;
         if self.filled == BLOCK_SAMPLES {
@@ -85,7 +85,7 @@ impl Moments {
     }
 
     /// The moments of everything pushed so far.
-    pub fn summary(mut self) -> MomentSummary {
+    pub(crate) fn summary(mut self) -> MomentSummary {
         self.merge_block();
         let n = self.count;
         if n == 0.0 {

@@ -10,7 +10,7 @@ const OSCILLATION_LAG_S: f64 = 0.02;
 
 /// The samples of a ring buffer by their running numbers.
 #[derive(Debug, Clone, Copy)]
-pub struct RingView<'a> {
+pub(crate) struct RingView<'a> {
     ring: &'a [f32],
     /// Number of the sample after the newest.
     next: i64,
@@ -116,7 +116,7 @@ pub struct CycleStatistics {
 
 impl CycleStatistics {
     /// Summarises the cycle that lies in the ring at `span`.
-    pub fn of(definition: &CycleDefinition<'_>, ring: &RingView<'_>, span: &Span) -> Self {
+    pub(crate) fn of(definition: &CycleDefinition<'_>, ring: &RingView<'_>, span: &Span) -> Self {
         let timeline = Timeline { definition, span };
         let mut moments = Moments::default();
         let mut extremes = (f64::INFINITY, f64::NEG_INFINITY);

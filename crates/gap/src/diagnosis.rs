@@ -60,7 +60,7 @@ pub fn diagnose<A: SimulatedAxis>(
     tell(1);
     let untouched = Fit::at(&problem, &nominal.spec, free_parameters(spec));
     let (calibrated, far) = rayon::join(
-        || untouched.clone().from_afar(&problem, 2 * settings.iterations).renewed(&problem),
+        || untouched.clone().fitted_from_afar(&problem, 2 * settings.iterations).renewed(&problem),
         || screen(&problem, &untouched, &settings.without),
     );
     tell(2);

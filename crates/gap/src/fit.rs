@@ -15,12 +15,12 @@ use crate::simulated_axis::{CalibratedParameter, Scale, SimulatedAxis};
 
 /// Independent values that a signal is taken to have in a cycle: model errors are alike over a twentieth of a cycle or so, and each bin
 /// counted by itself would be certain of anything.
-pub const INDEPENDENT: f64 = 60.0;
+pub(crate) const INDEPENDENT: f64 = 60.0;
 /// Error that any model of a machine has, share of a signal's range: differences below it are no gap.
-pub const MODEL_ERROR: f64 = 0.002;
+pub(crate) const MODEL_ERROR: f64 = 0.002;
 /// What a free parameter is.
 #[derive(Debug, Clone, Copy)]
-pub enum Target {
+pub(crate) enum Target {
     /// A parameter of the plant.
     Plant(CalibratedParameter),
     /// A parameter of an effect.
@@ -29,9 +29,9 @@ pub enum Target {
 
 /// A free parameter, in the fit's own coordinate.
 #[derive(Debug, Clone, Copy)]
-pub struct Free {
+pub(crate) struct Free {
     /// What it is.
-    pub target: Target,
+    pub(crate) target: Target,
     scale: Scale,
     low: f64,
     high: f64,
@@ -40,13 +40,13 @@ pub struct Free {
 }
 
 /// What wear changes, and every plant parameter that may be calibrated.
-pub fn free_parameters<A: SimulatedAxis>(spec: &A) -> Vec<Free> {
+pub(crate) fn free_parameters<A: SimulatedAxis>(spec: &A) -> Vec<Free> {
     let parameters = spec.wear().into_iter().chain(spec.calibrated_parameters());
     parameters.map(|parameter| Free::of_plant(spec, parameter)).collect()
 }
 
 /// An effect's parameters.
-pub fn of_effect<A: SimulatedAxis>(effect: &'static EffectInfo, spec: &A) -> Vec<Free> {
+pub(crate) fn of_effect<A: SimulatedAxis>(effect: &'static EffectInfo, spec: &A) -> Vec<Free> {
     let of = |(index, parameter): (usize, &Parameter)| {
         let (low, high) = spec.range(effect, parameter);
         let scale =
@@ -90,12 +90,12 @@ impl Free {
     }
 
     /// Whether it belongs to one of these effects.
-    pub fn is_of(&self, effects: &[&str]) -> bool {
+    pub(crate) fn is_of(&self, effects: &[&str]) -> bool {
         matches!(self.target, Target::Effect(effect, _) if effects.contains(&effect.key))
     }
 
     /// The coordinate of a machine's value.
-    pub fn read<A: SimulatedAxis>(&self, spec: &A) -> f64 {
+    pub(crate) fn read<A: SimulatedAxis>(&self, spec: &A) -> f64 {
         let value = match self.target {
             Target::Plant(parameter) => spec.parameter(parameter.key),
             Target::Effect(effect, index) => values_of(effect, spec)[index],
@@ -104,7 +104,7 @@ impl Free {
     }
 
     /// The value at a coordinate.
-    pub fn value(&self, coordinate: f64) -> f64 {
+    pub(crate) fn value(&self, coordinate: f64) -> f64 {
         match self.scale {
             Scale::Logarithmic => coordinate.exp(),
             Scale::Linear(unit) => coordinate * unit,
@@ -139,15 +139,15 @@ impl Free {
 }
 
 /// What is fitted to: drives with what the machine showed along each.
-pub struct Problem<'r> {
+pub(crate) struct Problem<'r> {
     /// The record.
-    pub record: &'r Record,
+    pub(crate) record: &'r Record,
     drives: Vec<Vec<DriveSample>>,
     shown: Vec<BinnedSignals>,
     /// One over the expected error of each signal, with the square root of the share that a bin counts.
     weights: Vec<f64>,
     /// Mean square over expected error that is left of each signal when only what differs from cycle to cycle is left.
-    pub noise: Vec<f64>,
+    pub(crate) noise: Vec<f64>,
 }
 
 /// Difference of drives from cycle to cycle, share of their range, up to which one stands for all.
@@ -162,7 +162,7 @@ const RELAXED_ITERATIONS: usize = 4;
 
 impl<'r> Problem<'r> {
     /// A problem of some of the record's cycles.
-    pub fn new(record: &'r Record, cycles: &[usize]) -> Self {
+    pub(crate) fn new(record: &'r Record, cycles: &[usize]) -> Self {
         let (drives, shown) = if same_drive(record, cycles) {
             (vec![mean_drive(record, cycles)], vec![record.mean(cycles)])
         } else {
@@ -188,7 +188,7 @@ impl<'r> Problem<'r> {
     }
 
     /// Weighted differences of simulation and record, one row a machine: by drive, signal, bin.
-    pub fn residuals<A: SimulatedAxis>(&self, machines: &[A]) -> Vec<DVector<f64>> {
+    pub(crate) fn residuals<A: SimulatedAxis>(&self, machines: &[A]) -> Vec<DVector<f64>> {
         let length = self.drives.len() * self.record.signals.len() * BINS;
         let mut rows = vec![Vec::with_capacity(length); machines.len()];
         for (drive, shown) in self.drives.iter().zip(&self.shown) {
@@ -206,7 +206,7 @@ impl<'r> Problem<'r> {
     }
 
     /// Mean square of each signal's differences over their expected error.
-    pub fn by_signal(&self, residual: &DVector<f64>) -> Vec<f64> {
+    pub(crate) fn by_signal(&self, residual: &DVector<f64>) -> Vec<f64> {
         let signals = self.record.signals.len();
         let mut sums = vec![0.0; signals];
         for (index, value) in residual.iter().enumerate() {
@@ -247,19 +247,19 @@ fn mean_drive(record: &Record, cycles: &[usize]) -> Vec<DriveSample> {
 
 /// A fitted machine.
 #[derive(Clone)]
-pub struct Fit<A> {
+pub(crate) struct Fit<A> {
     /// The machine.
-    pub spec: A,
+    pub(crate) spec: A,
     /// Its free parameters and their coordinates.
-    pub free: Vec<Free>,
+    pub(crate) free: Vec<Free>,
     /// See [`Fit::free`].
-    pub at: DVector<f64>,
+    pub(crate) at: DVector<f64>,
     /// Weighted differences.
-    pub residual: DVector<f64>,
+    pub(crate) residual: DVector<f64>,
     /// Derivatives of the differences.
-    pub jacobian: DMatrix<f64>,
+    pub(crate) jacobian: DMatrix<f64>,
     /// Sum of squares of differences and priors.
-    pub cost: f64,
+    pub(crate) cost: f64,
     /// Steps since the derivatives were simulated; Broyden's updates have carried them since.
     age: usize,
 }
@@ -277,13 +277,13 @@ const OLD_AGE: usize = 3;
 
 impl<A: SimulatedAxis> Fit<A> {
     /// A machine as it is, with the derivatives there.
-    pub fn at(problem: &Problem<'_>, spec: &A, free: Vec<Free>) -> Self {
+    pub(crate) fn at(problem: &Problem<'_>, spec: &A, free: Vec<Free>) -> Self {
         Fit::beside(problem, spec, free, DMatrix::zeros(0, 0), 0)
     }
 
     /// A machine as it is but for what wear changes. It is looked for over all of its range first: beside a relief valve's chatter the
     /// derivative by a leak of 0 leads nowhere.
-    pub fn of_wear(problem: &Problem<'_>, spec: &A, iterations: usize) -> Self {
+    pub(crate) fn of_wear(problem: &Problem<'_>, spec: &A, iterations: usize) -> Self {
         let Some(wear) = spec.wear() else { return Fit::at(problem, spec, Vec::new()) };
         let free = Free::of_plant(spec, wear);
         let mut machines = vec![spec.clone()];
@@ -300,7 +300,7 @@ impl<A: SimulatedAxis> Fit<A> {
     }
 
     /// This machine with further parameters, changed to `spec`: the derivatives by what was free before are taken over.
-    pub fn extended(&self, problem: &Problem<'_>, spec: &A, further: Vec<Free>) -> Self {
+    pub(crate) fn extended(&self, problem: &Problem<'_>, spec: &A, further: Vec<Free>) -> Self {
         let free: Vec<Free> = self.free.iter().copied().chain(further).collect();
         Fit::beside(problem, spec, free, self.jacobian.clone(), OLD_AGE - 1)
     }
@@ -320,7 +320,7 @@ impl<A: SimulatedAxis> Fit<A> {
     }
 
     /// Fits from a machine that may be far off: with errors that shrink step by step.
-    pub fn from_afar(mut self, problem: &Problem<'_>, iterations: usize) -> Self {
+    pub(crate) fn fitted_from_afar(mut self, problem: &Problem<'_>, iterations: usize) -> Self {
         for times in RELAXED {
             if self.free.iter().any(Free::is_time) {
                 self = self.with_slopes(problem, times);
@@ -331,12 +331,12 @@ impl<A: SimulatedAxis> Fit<A> {
     }
 
     /// Fits from where the machine is.
-    pub fn fitted(self, problem: &Problem<'_>, iterations: usize) -> Self {
+    pub(crate) fn fitted(self, problem: &Problem<'_>, iterations: usize) -> Self {
         self.descended(problem, 1.0, iterations)
     }
 
     /// The same with derivatives simulated where it is.
-    pub fn renewed(self, problem: &Problem<'_>) -> Self {
+    pub(crate) fn renewed(self, problem: &Problem<'_>) -> Self {
         if self.age > 0 { self.with_slopes(problem, 1.0) } else { self }
     }
 
@@ -439,7 +439,7 @@ impl<A: SimulatedAxis> Fit<A> {
     }
 
     /// Value of each parameter with its 95 % interval, from the covariance of differences and priors.
-    pub fn estimates(&self) -> Vec<(f64, [f64; 2])> {
+    pub(crate) fn estimates(&self) -> Vec<(f64, [f64; 2])> {
         let covariance = normal_matrix(&self.free, &self.jacobian, 1.0).try_inverse();
         let estimate = |(index, parameter): (usize, &Free)| {
             let spread = covariance.as_ref().map_or(f64::INFINITY, |c| c[(index, index)].max(0.0).sqrt());

@@ -1,20 +1,21 @@
 #![doc = include_str!("../README.md")]
 
 pub mod diagnosis;
-pub mod electric;
-pub mod fit;
-pub mod places;
-pub mod press;
-pub mod rank;
+mod electric;
+mod fit;
+mod places;
+mod press;
+mod rank;
 pub mod record;
 pub mod report;
-pub mod screen;
-pub mod search;
-pub mod shrink;
-pub mod simulate;
+mod screen;
+mod search;
+mod shrink;
+mod simulate;
 pub mod simulated_axis;
 
 pub use diagnosis::{DiagnosisSettings, cannot_tell, diagnose, nominal_gap};
 pub use record::{Log, Mismatch, Record, RecordError, Shortage};
 pub use report::Diagnosis;
+pub use simulate::BinnedSignals;
 pub use simulated_axis::SimulatedAxis;

@@ -68,7 +68,7 @@ pub(crate) fn phase_spans<A: SimulatedAxis>(spec: &A) -> Vec<(&'static str, f64,
 }
 
 /// Where the recorded machine's balances differ from the simulated one's.
-pub fn places<A: SimulatedAxis>(
+pub(crate) fn places<A: SimulatedAxis>(
     record: &Record,
     calibrated: &A,
     recorded: &BinnedSignals,

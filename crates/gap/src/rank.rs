@@ -29,13 +29,13 @@ const SHARE_OF_ANOTHER: f64 = 0.03;
 
 /// Probabilities that sum to 1.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Ranking {
+pub(crate) struct Ranking {
     /// Of calibration alone.
-    pub none: f64,
+    pub(crate) none: f64,
     /// Of a cause that the catalogue lacks.
-    pub unknown: f64,
+    pub(crate) unknown: f64,
     /// Of each machine with effects, in the order given.
-    pub explanations: Vec<f64>,
+    pub(crate) explanations: Vec<f64>,
 }
 
 /// Minus the log-likelihood of mean squares by signal, over half the independent values.
@@ -51,7 +51,7 @@ pub(crate) fn score<A>(problem: &Problem<'_>, fit: &Fit<A>, parameters: f64) -> 
 }
 
 /// Weighs the explanations.
-pub fn rank<A: SimulatedAxis>(
+pub(crate) fn rank<A: SimulatedAxis>(
     problem: &Problem<'_>,
     calibrated: &Fit<A>,
     explanations: &[Explanation<A>],

@@ -236,13 +236,8 @@ impl Record {
         Ok(Record { signals, cycles, range, floor, notes })
     }
 
-    /// Place of a signal in [`Record::signals`].
-    pub fn index_of(&self, signal: Signal) -> Option<usize> {
-        self.signals.iter().position(|other| *other == signal)
-    }
-
     /// Mean of some cycles' bins.
-    pub fn mean(&self, cycles: &[usize]) -> Vec<Vec<f64>> {
+    pub(crate) fn mean(&self, cycles: &[usize]) -> Vec<Vec<f64>> {
         (0..self.signals.len())
             .map(|signal| {
                 (0..BINS)

@@ -8,15 +8,15 @@ use crate::simulated_axis::SimulatedAxis;
 
 /// An effect at the strength at which it explains most.
 #[derive(Clone)]
-pub struct Candidate {
+pub(crate) struct Candidate {
     /// The effect.
-    pub effect: &'static EffectInfo,
+    pub(crate) effect: &'static EffectInfo,
     /// Its values.
-    pub values: Vec<f64>,
+    pub(crate) values: Vec<f64>,
     /// How much of the calibrated cost it takes away, to first order.
-    pub gain: f64,
+    pub(crate) gain: f64,
     /// Norm of its signature beyond calibration, in expected errors: how much it would show at all.
-    pub visible: f64,
+    pub(crate) visible: f64,
 }
 
 /// Levels of a parameter that are tried, shares of its range: for one with its neutral value at the low end, and for one with it inside.
@@ -33,7 +33,7 @@ const STARTS: usize = 16;
 const WAVES: usize = 192;
 
 /// Screens the catalogue, but for some effects, on the calibrated machine; the most promising first.
-pub fn screen<A: SimulatedAxis>(
+pub(crate) fn screen<A: SimulatedAxis>(
     problem: &Problem<'_>,
     calibrated: &Fit<A>,
     without: &[String],

@@ -11,33 +11,33 @@ use crate::simulated_axis::SimulatedAxis;
 
 /// A machine with some effects, fitted.
 #[derive(Clone)]
-pub struct Explanation<A> {
+pub(crate) struct Explanation<A> {
     /// Effects, the first found first.
-    pub effects: Vec<&'static EffectInfo>,
+    pub(crate) effects: Vec<&'static EffectInfo>,
     /// The machine.
-    pub fit: Fit<A>,
+    pub(crate) fit: Fit<A>,
 }
 
 impl<A: SimulatedAxis> Explanation<A> {
     /// Whether an effect is part of it.
-    pub fn has(&self, key: &str) -> bool {
+    pub(crate) fn has(&self, key: &str) -> bool {
         self.effects.iter().any(|effect| effect.key == key)
     }
 
     /// Parameters of its effects.
-    pub fn parameters(&self) -> usize {
+    pub(crate) fn parameters(&self) -> usize {
         self.effects.iter().map(|effect| effect.parameters.len()).sum()
     }
 }
 
 /// What a search found.
-pub struct SearchResult<A> {
+pub(crate) struct SearchResult<A> {
     /// The calibrated machine.
-    pub calibrated: Fit<A>,
+    pub(crate) calibrated: Fit<A>,
     /// Effects screened beside it, the most promising first.
-    pub candidates: Vec<Candidate>,
+    pub(crate) candidates: Vec<Candidate>,
     /// Machines with one effect or more.
-    pub explanations: Vec<Explanation<A>>,
+    pub(crate) explanations: Vec<Explanation<A>>,
 }
 
 /// Effects that are fitted from both machines.
@@ -55,7 +55,7 @@ const NOTHING_LEFT: f64 = 3.0;
 const WORTH_ANOTHER_EFFECT: f64 = 0.7;
 
 /// Searches from the calibrated and the untouched machine.
-pub fn search<A: SimulatedAxis>(
+pub(crate) fn search<A: SimulatedAxis>(
     problem: &Problem<'_>,
     untouched: &Fit<A>,
     calibrated: Fit<A>,
@@ -130,7 +130,7 @@ fn single_effects<A: SimulatedAxis>(
         let start = if *from_afar { untouched } else { calibrated };
         let fit = beside(problem, start, candidate.effect, &candidate.values);
         if *from_afar || (0..candidate.effect.parameters.len()).any(|index| candidate.effect.is_time(index)) {
-            fit.from_afar(problem, settings.iterations)
+            fit.fitted_from_afar(problem, settings.iterations)
         } else {
             fit.fitted(problem, settings.iterations)
         }

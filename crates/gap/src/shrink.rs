@@ -12,16 +12,16 @@ use crate::simulated_axis::SimulatedAxis;
 const FLOORS: f64 = 1.5;
 
 /// Gaps on cycles that nothing was fitted to.
-pub struct HeldOut<'r> {
+pub(crate) struct HeldOut<'r> {
     /// The record.
-    pub record: &'r Record,
+    pub(crate) record: &'r Record,
     /// The cycles.
-    pub cycles: &'r [usize],
+    pub(crate) cycles: &'r [usize],
 }
 
 impl HeldOut<'_> {
     /// RMS over range, by machine and signal, each cycle against its own simulation.
-    pub fn gaps<A: SimulatedAxis>(&self, machines: &[A]) -> Vec<Vec<f64>> {
+    pub(crate) fn gaps<A: SimulatedAxis>(&self, machines: &[A]) -> Vec<Vec<f64>> {
         let record = self.record;
         let mut sums = vec![vec![0.0; record.signals.len()]; machines.len()];
         let mut simulated: Option<(&[DriveSample], Vec<BinnedSignals>)> = None;
@@ -44,7 +44,7 @@ impl HeldOut<'_> {
     }
 
     /// Mean over signals with a gap of what is gone of it; of what is above the floor, or of the whole.
-    pub fn shrink(&self, nominal: &[f64], now: &[f64], to_floor: bool) -> f64 {
+    pub(crate) fn shrink(&self, nominal: &[f64], now: &[f64], to_floor: bool) -> f64 {
         let shares: Vec<f64> = nominal
             .iter()
             .zip(now)
@@ -58,7 +58,7 @@ impl HeldOut<'_> {
 
 /// The part of the shrink that each effect of a machine has, beyond calibration: its Shapley value (Shapley, Contributions to the Theory of
 /// Games II (1953)) over the machines with fewer of the effects, each fitted anew. Parts add up.
-pub fn attributed<A: SimulatedAxis>(
+pub(crate) fn attributed<A: SimulatedAxis>(
     problem: &Problem<'_>,
     held_out: &HeldOut<'_>,
     nominal: &[f64],

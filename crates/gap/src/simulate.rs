@@ -19,7 +19,7 @@ pub(crate) fn bins_of<'v>(
 
 /// Simulates each machine over the drive, after a warm-up with the end of the same drive, and bins its signals. A simulation that goes
 /// out of bounds shows NaN.
-pub fn binned_signals<A: SimulatedAxis>(
+pub(crate) fn binned_signals<A: SimulatedAxis>(
     machines: &[A],
     drive: &[DriveSample],
     signals: &[Signal],

@@ -11,7 +11,7 @@ pub mod oil;
 pub mod plant;
 pub mod real;
 pub mod series;
-pub mod simd;
+mod simd;
 pub mod spec;
 
 pub use controller::Controller;

@@ -5,7 +5,7 @@
 ///
 /// Results do not depend on the choice: no operation is contracted or reordered.
 #[inline]
-pub fn widest<R>(work: impl FnOnce() -> R) -> R {
+pub(crate) fn widest<R>(work: impl FnOnce() -> R) -> R {
     #[cfg(target_arch = "x86_64")]
     {
         if std::arch::is_x86_feature_detected!("avx512f")

@@ -6,13 +6,14 @@ pub mod duty;
 pub mod forest;
 mod linear;
 mod out_of_distribution;
-pub mod pca;
+mod pca;
 pub mod relative;
 pub mod report;
-pub mod search;
+mod search;
 pub mod train;
 
 pub use dataset::Spread;
 pub use relative::{Conditions, RelativeReport};
 pub use report::Report;
+pub use search::BestForest;
 pub use train::{TrainError, Trained, TrainingSettings, train};

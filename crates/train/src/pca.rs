@@ -5,7 +5,7 @@ use seepd_model::schema::ProjectionFile;
 
 /// The first `count` principal components of the rows (all of one length), largest variance first, each with
 /// its largest loading positive.
-pub fn components(rows: &[Vec<f32>], count: usize) -> Vec<ProjectionFile> {
+pub(crate) fn components(rows: &[Vec<f32>], count: usize) -> Vec<ProjectionFile> {
     let Some(width) = rows.first().map(Vec::len) else { return Vec::new() };
     let n = rows.len() as f64;
     let mean: Vec<f64> =

@@ -24,7 +24,7 @@ pub struct BestForest {
 ///
 /// # Errors
 /// [`TrainError::NoForest`] where no trial was admissible, [`TrainError::Search`] where the search itself failed.
-pub fn search(
+pub(crate) fn search(
     table: &Table,
     most_nodes: usize,
     trials: usize,
