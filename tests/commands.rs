@@ -316,6 +316,14 @@ fn help_tells_examples_and_exit_codes() {
         let text = stdout(&seepd([&command, "--help"]));
         assert!(text.contains("Example"), "{command}");
     }
+    // The list has a line for each; a command's own help explains it.
+    let replay = stdout(&seepd(["help", "replay"]));
+    for told in [
+        "show the leak by cycle, flags and a summary",
+        "read one after the other as the record of one machine",
+    ] {
+        assert_eq!((replay.contains(told), top.contains(told)), (true, told.starts_with("show")), "{told}");
+    }
     assert!(stdout(&seepd(["--version"])).starts_with("seepd 0."));
 }
 

@@ -22,45 +22,31 @@ struct Arguments {
     command: Command,
 }
 
+// No documentation here: help would show it in the place of that of the arguments.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Simulate a press whose seal wears, replay its log, and leave the log and a page with plots
     #[cfg(feature = "simulate")]
     Demo(commands::demo::DemoArguments),
-    /// Write the log of a simulated machine (MCAP)
     #[cfg(feature = "simulate")]
     Simulate(commands::simulate::SimulateArguments),
-    /// Train a model on a simulated machine
     #[cfg(feature = "train")]
     Train(commands::train::TrainArguments),
-    /// Make the figures of the source article again, as one HTML page
     #[cfg(feature = "study")]
     Study(commands::study::StudyArguments),
-    /// Read logs (MCAP, CSV, candump) and show the leak by cycle, flags and a summary
     Replay(commands::replay::ReplayArguments),
-    /// Learn the baseline of a healthy machine, so that estimates are relative to it
     LearnBaseline(commands::learn_baseline::LearnBaselineArguments),
-    /// Compare estimates and flags with the truth in the logs
     Evaluate(commands::evaluate::EvaluateArguments),
-    /// Watch axes live: read CAN, and give leakage, flags and a dashboard
     #[cfg(feature = "live")]
     Run(commands::run::RunArguments),
-    /// Listen on a CAN interface and write a first configuration
     #[cfg(feature = "live")]
     Init(commands::init::InitArguments),
-    /// Send a marked test alarm through each sink
     #[cfg(feature = "live")]
     TestSinks(commands::test_sinks::TestSinksArguments),
-    /// Find where simulator and machine differ, and which effect explains it
     #[cfg(feature = "gap")]
     Gap(commands::gap::GapArguments),
-    /// Show what a log or a CAN bus has, and propose the mapping that reads it
     Inspect(commands::inspect::InspectArguments),
-    /// Check plant, model and configuration files
     Check(commands::check::CheckArguments),
-    /// Print the completion script of a shell
     Completions(commands::shell::CompletionsArguments),
-    /// Print the manual page, or write those of all commands
     Man(commands::shell::ManArguments),
 }
 

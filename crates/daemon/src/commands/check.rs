@@ -15,11 +15,11 @@ use seepd_logs::{frame_decoder, open};
 use seepd_monitor::pipeline::DutyCycle;
 use seepd_settings::side_file;
 
-/// Checks plant, model and configuration files, and names the line, the key and the nearest known key of what is wrong.
+/// Check plant, model and configuration files
 ///
-/// JSON is a model; TOML with a table `[plant]`, `[controller]`, `[cycle]`, `[effects]` or `[bounds]` is a plant; other TOML is a
-/// configuration. The model and the baseline of a configuration are checked too, and whether the log that it names has the mapped
-/// signals. Every file is checked, even after one that is wrong.
+/// Names the line, the key and the nearest known key of what is wrong. JSON is a model; TOML with a table `[plant]`, `[controller]`,
+/// `[cycle]`, `[effects]` or `[bounds]` is a plant; other TOML is a configuration. The model and the baseline of a configuration are
+/// checked too, and whether the log that it names has the mapped signals. Every file is checked, even after one that is wrong.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd check plant.toml model.json seepd.toml")]
 pub struct CheckArguments {

@@ -21,8 +21,10 @@ use seepd_monitor::event::{Event, Flag, FlagEvent};
 use seepd_monitor::pipeline::Pipeline;
 use seepd_signals::Signal;
 
-/// Simulates a press whose seal wears over many cycles, writes its log, replays that log with the embedded model, compares the estimate
-/// with the truth, says when the flags rose, and leaves the log and a page with plots.
+/// Simulate a press whose seal wears, replay its log, and leave the log and a page with plots
+///
+/// Simulates a press, writes its log, replays that log with the embedded model, compares the estimate with the truth, says when the flags
+/// rose, and leaves the log and a page with plots.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd demo --folder /tmp/demo")]
 pub struct DemoArguments {

@@ -23,7 +23,7 @@ use crate::sink::terminal::{listed, print};
 use seepd_logs::{LogMapping, Selection, SignalMapping, record};
 use seepd_monitor::pipeline::Pipeline;
 
-/// Compares estimates and flags with the truth in the logs: errors, coverage, delay, false alarms, receiver operating curves.
+/// Compare estimates and flags with the truth in the logs
 ///
 /// Each log is the record of one machine. The truth is the area or the flow of the leak, from a simulator or a flow meter; the
 /// estimates never see it. Simulated logs have it on /axis/truth.

@@ -27,8 +27,10 @@ use seepd_logs::open;
 use seepd_monitor::event::LPM_PER_M3_PER_S;
 use seepd_settings::side_file;
 
-/// Compares a log with the simulator: where they differ, which effect that the simulator lacks explains it and how likely that is, and
-/// how far the difference shrinks once the effect is added; or that nothing in the catalogue explains the log.
+/// Find where simulator and machine differ, and which effect explains it
+///
+/// Says where log and simulator differ, which effect that the simulator lacks explains it and how likely that is, and how far the
+/// difference shrinks once the effect is added; or that nothing in the catalogue explains the log.
 ///
 /// The log must have the command and the position; demand, load and pressures help. Signals are mapped as in `replay`.
 #[derive(Debug, Args)]

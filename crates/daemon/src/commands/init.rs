@@ -15,7 +15,9 @@ use crate::sink::plain::{self, one_line};
 use seepd_logs::can::dbc::Dbc;
 use seepd_logs::survey::LogSurvey;
 
-/// Listens on a CAN interface (or reads a log), works out where the signals are, and writes a configuration for `run`.
+/// Listen on a CAN interface and write a first configuration
+///
+/// Listens on the interface (or reads a log), works out where the signals are, and writes a configuration for `run`.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd init can0 --dbc press.dbc --out /etc/seepd/seepd.toml\n  seepd init can0 --seconds 20 --axis press-1\n  seepd init press-1.mcap --out seepd.toml"

@@ -17,6 +17,8 @@ use seepd_logs::CountedReader;
 use seepd_logs::can::dbc::Dbc;
 use seepd_logs::survey::{LogSurvey, survey, toml_text};
 
+/// Show what a log or a CAN bus has, and propose the mapping that reads it
+///
 /// Shows the topics of a log with their rates, gaps, encodings and numeric fields, guesses which fields are the command, position,
 /// demand, pressures and load, and prints the mapping that reads them.
 #[derive(Debug, Args)]

@@ -21,7 +21,7 @@ use seepd_logs::record;
 use seepd_monitor::baseline::{Baseline, BaselineFile, MOST_CYCLES};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
-/// Learns the baseline of a healthy machine from its logs, so that estimates are relative to it.
+/// Learn the baseline of a healthy machine, so that estimates are relative to it
 ///
 /// A baseline cancels what does not change: the machine's own valve null, gain and friction, and the leakage past a healthy seal. What
 /// changes later (oil temperature, load, supply pressure) is told from a leak by its pattern over the phases, as far as training knows it.

@@ -25,7 +25,7 @@ use seepd_logs::record::Clock;
 use seepd_monitor::event::{Event, Flag, Summary};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
-/// Reads logs (MCAP, CSV, candump) and shows the leak of each duty cycle, the flags and a summary.
+/// Read logs (MCAP, CSV, candump) and show the leak by cycle, flags and a summary
 ///
 /// Several logs are read one after the other as the record of one machine. A leak is given as the flow that it passes at a stated
 /// pressure difference (L/min), and as an area (mm²). JSON, CSV and MCAP have SI units.

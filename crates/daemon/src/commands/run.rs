@@ -8,10 +8,10 @@ use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::live;
 
-/// Watches axes live: reads CAN, and gives leakage, flags and a dashboard. Made to run under systemd.
+/// Watch axes live: read CAN, and give leakage, flags and a dashboard
 ///
-/// HUP makes the daemon take over a changed configuration (a bad one is refused); TERM and INT end it once everything is written. A
-/// daemon that reads nothing but logs ends with them.
+/// Made to run under systemd. HUP makes the daemon take over a changed configuration (a bad one is refused); TERM and INT end it once
+/// everything is written. A daemon that reads nothing but logs ends with them.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd run --config /etc/seepd/seepd.toml\n  kill -HUP $(pidof seepd)   # take over a changed configuration"

@@ -12,7 +12,7 @@ use crate::failure::{Code, Failure};
 use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::sink::terminal::print;
 
-/// Prints the completion script of a shell.
+/// Print the completion script of a shell
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd completions bash > /etc/bash_completion.d/seepd")]
 pub struct CompletionsArguments {
@@ -20,7 +20,7 @@ pub struct CompletionsArguments {
     shell: Shell,
 }
 
-/// Prints the manual page, or writes those of all commands.
+/// Print the manual page, or write those of all commands
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  seepd man | man -l -\n  seepd man --folder /usr/local/share/man/man1")]
 pub struct ManArguments {

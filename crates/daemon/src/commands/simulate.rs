@@ -20,10 +20,10 @@ use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
 use seepd_settings::side_file;
 
-/// Writes the log (MCAP) of a simulated machine: signals on /axis/signals, the truth on /axis/truth.
+/// Write the log of a simulated machine (MCAP)
 ///
-/// Without options: the nominal press, 24 cycles, no leak, noise of the command 0.001, seed 1. A warm-up cycle is simulated first and
-/// not written.
+/// Signals are on /axis/signals, the truth on /axis/truth. Without options: the nominal press, 24 cycles, no leak, noise of the command
+/// 0.001, seed 1. A warm-up cycle is simulated first and not written.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  seepd simulate --out healthy.mcap\n  \
                         seepd simulate --out worn.mcap --cycles 100 --leak-area 5e-8 --leak-growth 1e-6 --seed 7\n  \

@@ -12,8 +12,10 @@ use crate::output::{Outputs, OverwriteArguments};
 use crate::progress::Steps;
 use crate::sink::terminal::print;
 
-/// Makes figures 2 and 5 to 9 of the source article again on the corrected plant, compares its ensemble with that of this program, and
-/// finds the largest leak that the controller can hold. Each figure says whether it agrees with the article and, if not, why.
+/// Make the figures of the source article again, as one HTML page
+///
+/// Makes figures 2 and 5 to 9 again on the corrected plant, compares the article's ensemble with that of this program, and finds the
+/// largest leak that the controller can hold. Each figure says whether it agrees with the article and, if not, why.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd study --out study.html\n  seepd study --out study.html --json | jq .holding.largest"

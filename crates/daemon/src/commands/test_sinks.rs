@@ -27,7 +27,7 @@ use seepd_monitor::event::Flag;
 /// Time that a sink has for the test.
 const PATIENCE: Duration = Duration::from_secs(10);
 
-/// Sends a marked test alarm through each configured sink and says which of them took it.
+/// Send a marked test alarm through each sink
 ///
 /// MQTT gets a message on PREFIX/AXIS/test that the broker must confirm; CAN the configured frame with the flag severe and no estimate,
 /// which no real leak gives; the recording a file with the test. For HTTP, the port must answer or be free.

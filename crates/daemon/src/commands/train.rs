@@ -18,10 +18,10 @@ use crate::progress::Steps;
 use crate::quantity::mm2;
 use crate::sink::terminal::print;
 
-/// Trains a model on simulated machines and measures it on others.
+/// Train a model on a simulated machine
 ///
-/// Machines differ by ± 5 % in their parameters and load; their leaks are 0, or between 0.005 and 10 mm². The same seed gives the
-/// same bytes.
+/// The model is measured on other simulated machines. Machines differ by ± 5 % in their parameters and load; their leaks are 0, or
+/// between 0.005 and 10 mm². The same seed gives the same bytes.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd train --out model.json\n  seepd train --plant press-3.toml --out press-3.json --seed 2\n\n\
