@@ -596,7 +596,7 @@ fn a_log_of_which_nothing_can_be_used_is_a_failure() {
         (
             "words.csv",
             b"t_s,command\n1,fast\n2,slow\n".to_vec(),
-            "none of its 2 rows can be used; the first at line 2: `fast`",
+            "none of the 2 rows can be used; the first of them is at line 2: `fast`",
         ),
         ("empty.csv", b"t_s,command\n1,\n2,\n".to_vec(), "none of its 2 commands is a number"),
         ("null.mcap", of_five("{\"command\":null}"), "none of its 5 commands is a number"),

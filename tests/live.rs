@@ -809,7 +809,7 @@ fn configurations_that_cannot_work_are_refused_before_the_start() {
         ("[source]\ncan = \"can0\"\n[signals.position]\nfield = \"x\"\n", "signals.command is missing"),
         ("[[axes]]\naxis = \"a\"\n[[axes]]\naxis = \"a\"\n", "two axes are called `a`"),
         ("axis = \"x\"\n[[axes]]\naxis = \"a\"\n", "at its top"),
-        ("[[axes]]\naxis = \"a\"\n[axes.http]\n", "stand at the file's top"),
+        ("[[axes]]\naxis = \"a\"\n[axes.http]\n", "unknown key `http`"),
         ("[[axes]]\naxis = \"a\"\nreference_dp_pa = -1.0\n", "reference_dp_pa is -1"),
         ("[http]\nlisten = \"127.0.0.1:1883\"\n[mqtt]\n", "same port 1883"),
         ("[mqtt]\nprefix = \"#\"\n", "mqtt.prefix"),
