@@ -49,7 +49,7 @@ pub struct Truth {
     pub seed: u64,
 }
 
-/// A case: what is told to the diagnoser, and the truth.
+/// A case: what the diagnosis is given, and the truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Case {
     /// Name of its log.

@@ -5,6 +5,18 @@ use serde::{Deserialize, Serialize};
 /// Random-walk model `x' = x + w`, measurement `z = x + n`; `w` and `n` white with variances `q` and `r` in
 /// squared shares of full command. The command is no random walk, and the article's figures (0.001 and 5) are
 /// not its variances: their ratio sets a low-pass whose steady gain, 0.01404, means about 70 ms at 1 kHz.
+///
+/// ```
+/// use seepd_features::{Kalman, KalmanState};
+///
+/// let kalman = Kalman::default();
+/// let mut state = KalmanState::default();
+/// for _ in 0..10_000 {
+///     kalman.step(&mut state, 0.0);
+/// }
+/// // A step of the command by 1 moves the estimate by the steady gain.
+/// assert!((kalman.step(&mut state, 1.0) - 0.01404).abs() < 1e-5);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Kalman {

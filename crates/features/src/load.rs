@@ -14,7 +14,7 @@ pub struct LoadSummary {
 }
 
 impl LoadSummary {
-    /// Whether the load stood still to the last bit over the whole cycle, as the signal of a dead sensor does.
+    /// Whether the load did not change by a bit over the whole cycle, as the signal of a dead sensor does not.
     pub fn is_frozen(&self) -> bool {
         self.extremes_n.0 == self.extremes_n.1
     }
@@ -42,7 +42,7 @@ pub(crate) struct LoadState {
     bin: i64,
     sum_n: f64,
     count: f64,
-    /// Whether any sample has told a load since the last restart.
+    /// Whether any sample has had a load since the last restart.
     heard: bool,
 }
 

@@ -29,7 +29,7 @@ pub enum Reason {
     NotANumber,
     /// The command lay outside of −1 … 1.
     OutOfRange,
-    /// The command stood still while the machine had to move.
+    /// The command did not change while the machine had to move.
     Stuck,
     /// Samples came at another rate than the model's.
     WrongRate,
@@ -121,7 +121,9 @@ pub enum Outcome<'a> {
     Rejected(RejectedCycle),
 }
 
-/// Configuration: the filter, the cycle, and which features are wanted.
+/// Reads cycles: the configuration, which are the filter, the duty cycle, and the features that are wanted.
+///
+/// The [crate's page](crate) has an example.
 #[derive(Debug, Clone, Copy)]
 pub struct CycleReader<'m> {
     filter: Option<Kalman>,

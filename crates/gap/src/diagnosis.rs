@@ -47,7 +47,10 @@ const ALIKE: f64 = 0.5;
 /// Signature, in expected errors, below which an effect cannot be seen.
 const VISIBLE: f64 = 2.0;
 
-/// Diagnoses a record against a machine; `tell` hears of each finished step. With the diagnosis comes the machine as it is.
+/// Diagnoses a record against a machine, and gives the machine as diagnosed: calibrated, with the effects that were found. `tell` is called
+/// with the number of finished steps, of [`STEPS`].
+///
+/// The [crate's page](crate) has an example.
 pub fn diagnose<A: SimulatedAxis>(
     record: &Record,
     spec: &A,
@@ -279,7 +282,7 @@ fn verdict<A: SimulatedAxis>(
     (Verdict::CannotTell, Some(format!("several effects explain the log equally well: {}", names.join(", "))))
 }
 
-/// All that a diagnosis is told from.
+/// Everything that a diagnosis is made from.
 struct DiagnosisInputs<'a, A> {
     record: &'a Record,
     spec: &'a A,

@@ -14,7 +14,7 @@ const PHASES: [&str; 7] = ["extend", "press", "hold", "retract", "reversal", "ne
 const STANDING: f64 = 0.01;
 /// Share of the stroke within which an end stop is near.
 const NEAR_END: f64 = 0.06;
-/// Places that are told.
+/// Most places in a report.
 const TOLD: usize = 12;
 
 /// The phase of each bin.

@@ -30,7 +30,7 @@ pub struct Diagnosis {
     pub seconds: f64,
     /// Effects, most likely first.
     pub effects: Vec<RankedEffect>,
-    /// Probability that the cause is none of the catalogue's.
+    /// Probability that the cause is not in the catalogue.
     pub unknown_probability: f64,
     /// Probability that there is no effect.
     pub no_effect_probability: f64,

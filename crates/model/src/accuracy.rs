@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::ensemble::Estimate;
 
-/// Ranges of leak areas by which errors are told, m²; the last one's upper end belongs to it.
+/// Ranges of leak areas by which errors are reported, m²; the last range includes its upper end.
 pub const DECADES_M2: [(f64, f64); 3] = [(5e-8, 1e-7), (1e-7, 1e-6), (1e-6, 1e-5)];
 
 /// A range of areas.

@@ -64,6 +64,20 @@ const ABREAST: usize = 8;
 impl Ensemble {
     /// An ensemble of trees over so many features.
     ///
+    /// ```
+    /// use seepd_model::schema::Tree;
+    /// use seepd_model::{Ensemble, ModelError};
+    ///
+    /// // x ≤ 0.5: 1, else 3; and a constant.
+    /// let stump = Tree { feature: vec![0, -1, -1], value: vec![0.5, 1.0, 3.0], right: vec![2, 0, 0] };
+    /// let constant = Tree { feature: vec![-1], value: vec![2.0], right: vec![0] };
+    /// let ensemble = Ensemble::new(&[stump, constant], 1)?;
+    /// // Mean and standard deviation of 3 and 2.
+    /// assert_eq!(ensemble.vote(&[0.7]), (2.5, 0.5));
+    /// # Ok::<(), ModelError>(())
+    /// ```
+    ///
+    ///
     /// # Errors
     /// [`ModelError`] for a list of nodes that is no tree in preorder; no trees at all are an [`ModelError::Empty`].
     pub fn new(trees: &[Tree], features: usize) -> Result<Self, ModelError> {

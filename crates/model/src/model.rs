@@ -19,6 +19,8 @@ use crate::schema::{Filter, ModelFile, ProjectionFile};
 const GOLDEN_TOLERANCE: f64 = 1e-9;
 
 /// A model: what turns the samples of a command into estimates of the leak.
+///
+/// The [crate's page](crate) has an example.
 #[derive(Debug, Clone)]
 pub struct Model {
     file: ModelFile,

@@ -143,7 +143,14 @@ fn unknown_field(message: &str, others: &[&str]) -> Option<UnknownKey> {
     Some(UnknownKey::new(unknown, &known))
 }
 
-/// The known name that the unknown one is most like, if it is like one.
+/// The known name that the unknown one is most like (Jaro–Winkler similarity), if it is like one.
+///
+/// ```
+/// use seepd_settings::nearest;
+///
+/// assert_eq!(nearest("preasure", ["flow", "pressure"].into_iter()), Some("pressure"));
+/// assert_eq!(nearest("zzz", ["flow", "pressure"].into_iter()), None);
+/// ```
 pub fn nearest<'k>(unknown: &str, known: impl Iterator<Item = &'k str>) -> Option<&'k str> {
     known
         .map(|name| (strsim::jaro_winkler(&unknown.to_lowercase(), &name.to_lowercase()), name))

@@ -45,7 +45,10 @@ pub fn commands<R: Send>(jobs: &[Job], reduce: impl Fn(usize, &[f64]) -> R + Syn
 
 /// Runs at most [`LANES`] jobs side by side and hands each recorded tick of each job to `sink` with its lane.
 ///
-/// Jobs beyond the lanes are not run; the callers chunk.
+/// Jobs beyond the lanes are not run; callers pass chunks of [`LANES`].
+///
+/// # Panics
+/// Where `jobs` is empty.
 pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &SimulatedSignals<Lanes>)) {
     let specs: Vec<&MachineSpec> = jobs.iter().map(|job| &job.spec).collect();
     let machine = Machine::<Lanes>::new(&specs);
@@ -95,7 +98,10 @@ pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &SimulatedSignals<Lan
 
 /// Runs at most [`LANES`] machines side by side along the same drive, each with its own leak, and hands each tick to `sink` with its number.
 ///
-/// Machines beyond the lanes are not run; the callers chunk.
+/// Machines beyond the lanes are not run; callers pass chunks of [`LANES`].
+///
+/// # Panics
+/// Where `machines` is empty.
 pub fn follow(
     machines: &[MachineSpec],
     drive: &[DriveSample],

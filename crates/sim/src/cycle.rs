@@ -67,6 +67,13 @@ impl DutyCycle {
     }
 
     /// Demand at a time within the cycle, m.
+    ///
+    /// ```
+    /// let cycle = seepd_sim::DutyCycle::default();
+    /// // It extends from 0.10 m to 0.35 m between 0.5 s and 2.5 s.
+    /// assert!((cycle.demand_m(1.5) - 0.225).abs() < 1e-12);
+    /// assert_eq!(cycle.demand_m(2.75), 0.35);
+    /// ```
     pub fn demand_m(&self, at_s: f64) -> f64 {
         let mut position = self.start_position_m();
         for stroke in &self.moves {

@@ -24,6 +24,9 @@ pub struct Input<T> {
 
 impl<T: Real> Input<T> {
     /// Gathers one drive sample for each lane; a shorter slice repeats its last entry.
+    ///
+    /// # Panics
+    /// Where `samples` is empty.
     #[inline(always)]
     pub fn gather(samples: &[DriveSample]) -> Self {
         let at = |lane: usize| &samples[lane.min(samples.len() - 1)];
@@ -62,7 +65,9 @@ pub struct SimulatedSignals<T> {
     pub leak_area: T,
 }
 
-/// One machine (`f64`) or several in lanes: parameters only.
+/// One machine (`f64`) or several in lanes: parameters only, what changes is in a [`MachineState`].
+///
+/// The [crate's page](crate) has an example.
 pub struct Machine<T: Real> {
     plant: Plant<T>,
     pid: Pid<T>,
@@ -92,6 +97,9 @@ pub struct MachineState<T> {
 impl<T: Real> Machine<T> {
     /// Gathers one machine a lane; a shorter slice repeats its last entry. All machines of a batch take the
     /// number of steps in a period from the first one; see [`MachineSpec::with_stable_steps`].
+    ///
+    /// # Panics
+    /// Where `specs` is empty.
     pub fn new(specs: &[&MachineSpec]) -> Self {
         let of = |lane: usize| specs[lane.min(specs.len() - 1)];
         let plants: Vec<_> = specs.iter().map(|spec| &spec.plant).collect();

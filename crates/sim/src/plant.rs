@@ -251,7 +251,10 @@ pub(crate) fn sq<T: Real>(k: T, dp: T, dp_t_squared: T) -> T {
 impl<T: Real> Plant<T> {
     /// Gathers one machine a lane.
     ///
-    /// `machines` has one entry a lane; a shorter slice repeats its last entry.
+    /// `machines` has one entry for each lane; a shorter slice repeats its last entry.
+    ///
+    /// # Panics
+    /// Where `machines` is empty.
     pub fn new(machines: &[&PlantParameters]) -> Self {
         let each = |value: &dyn Fn(&PlantParameters) -> f64| {
             T::from_lanes(|lane| value(machines[lane.min(machines.len() - 1)]))

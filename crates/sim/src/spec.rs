@@ -192,6 +192,19 @@ impl MachineSpec {
 
     /// Sets an effect's parameter given as `effect.parameter=value`, as on the command line.
     ///
+    /// ```
+    /// use seepd_sim::{MachineSpec, SpecError};
+    ///
+    /// let mut spec = MachineSpec::default();
+    /// spec.set_effect("coulomb_friction.force_n=500")?;
+    /// assert_eq!(spec.effects["coulomb_friction"]["force_n"], 500.0);
+    ///
+    /// let error = spec.set_effect("valve_deadband.half_width=0.5").unwrap_err();
+    /// assert!(matches!(error, SpecError::Value { value: 0.5, .. }));
+    /// # Ok::<(), SpecError>(())
+    /// ```
+    ///
+    ///
     /// # Errors
     /// [`SpecError`] naming the nearest known effect or parameter, or the admitted range.
     pub fn set_effect(&mut self, assignment: &str) -> Result<(), SpecError> {

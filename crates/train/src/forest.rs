@@ -29,6 +29,9 @@ impl Table {
     }
 
     /// The features of an observation.
+    ///
+    /// # Panics
+    /// Where `index` is not below [`Table::len`].
     pub fn row(&self, index: usize) -> Vec<f64> {
         self.columns.iter().map(|column| column[index]).collect()
     }
@@ -56,6 +59,9 @@ pub struct Forest {
 
 impl Forest {
     /// Grows a forest; the same seed gives the same trees.
+    ///
+    /// # Panics
+    /// Where the table has observations and no features.
     pub fn grow(table: &Table, params: ForestParams, seed: u64) -> Forest {
         let order = Presorted::of(table);
         let grown: Vec<(Tree, Vec<f64>)> = (0..params.learners)
@@ -105,12 +111,18 @@ impl Forest {
 }
 
 /// One tree on all observations, each once.
+///
+/// # Panics
+/// As [`Forest::grow`].
 pub fn grow_single(table: &Table, params: ForestParams, seed: u64) -> Tree {
     let noise = Noise::new(seed, 0);
     Grower { table, params, noise }.grow(&Presorted::of(table), &vec![1; table.len()])
 }
 
-/// The leaf's value for an observation.
+/// The value of the leaf that an observation falls into, in the target's unit; `feature` gives a feature by its index.
+///
+/// # Panics
+/// Where the nodes are no tree in preorder: [`Ensemble::new`](seepd_model::Ensemble::new) checks that.
 pub fn predict(tree: &Tree, feature: impl Fn(usize) -> f64) -> f64 {
     let mut node = 0;
     while tree.feature[node] >= 0 {

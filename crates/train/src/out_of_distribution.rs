@@ -1,4 +1,4 @@
-//! The distribution of what training has seen, so that what lies outside of it is told apart.
+//! The distribution of what training has seen, by which cycles outside of it are recognised.
 
 use seepd_model::out_of_distribution::distance;
 use seepd_model::schema::TrainingDistribution;

@@ -178,7 +178,7 @@ const GOLDEN: usize = 12;
 /// progress: stage, steps done, steps in all.
 ///
 /// # Errors
-/// [`TrainError`].
+/// [`TrainError`] for a machine whose cycles cannot be found or whose command says nothing of the leak.
 pub fn train(
     spec: &MachineSpec,
     settings: &TrainingSettings,

@@ -253,7 +253,7 @@ pub struct Substep<T> {
     pub period: T,
 }
 
-/// What a law of sensing is told.
+/// What a law of sensing knows.
 #[derive(Debug, Clone, Copy)]
 pub struct Sensing<T> {
     /// Controller period, s.
