@@ -35,6 +35,16 @@ fn whole_and_cut_down_models_load() {
     assert_eq!(load(&SMALL).unwrap().ensemble().trees(), 3);
 }
 
+/// The structure writes the keys that it has read, in their order: none is renamed, left out or moved.
+#[test]
+fn regress_file_written_again_has_the_same_keys() {
+    let file: ModelFile = serde_json::from_slice(JSON).unwrap();
+    let written = serde_json::to_string(&file).unwrap();
+    // Without the numbers, of which this reader may round the last digit.
+    let keys = |text: &str| text.trim_end().replace(|c: char| c.is_ascii_digit() || ".+-e".contains(c), "");
+    assert!(keys(&written) == keys(std::str::from_utf8(JSON).unwrap()), "other keys than in model.json");
+}
+
 #[test]
 fn cycle_in_a_tree_names_the_node() {
     let text = refusal(|file| file["trees"][1]["right"][0] = 0.into());
