@@ -919,7 +919,7 @@ fn two_hundred_kills_at_random_moments_leave_state_recording_and_spool_whole() {
         for entry in fs::read_dir(state.join("spool")).into_iter().flatten() {
             let path = entry.unwrap().path();
             if path.extension().is_some_and(|extension| extension == "json") {
-                seepd::live::spool::Entry::parse(&fs::read(&path).unwrap()).unwrap();
+                seepd::sink::mqtt::spool::Entry::parse(&fs::read(&path).unwrap()).unwrap();
             }
         }
     }

@@ -1,6 +1,6 @@
 //! What a daemon finds after a power cut: a state file and an entry of the spool.
 #![no_main]
-use seepd::live::spool::Entry;
+use seepd::sink::mqtt::spool::Entry;
 use seepd::live::state;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {

@@ -4,12 +4,20 @@
 //! Files that are written, the terminal, sockets and clocks are known here and nowhere else.
 
 mod baseline_file;
+#[cfg(feature = "live")]
+pub mod clock;
 pub mod cli;
 pub mod commands;
 pub mod config;
 pub mod evaluation;
+#[cfg(feature = "live")]
+mod durable;
 pub mod failure;
 pub mod html;
+#[cfg(feature = "live")]
+pub mod hub;
+#[cfg(feature = "live")]
+pub mod journal;
 #[cfg(feature = "live")]
 pub mod live;
 pub mod output;

@@ -97,7 +97,7 @@ pub(super) fn is_interface(name: &str) -> bool {
 
 #[cfg(feature = "live")]
 fn listen(interface: &str, dbc: Option<&Dbc>, seconds: f64) -> Result<LogSurvey, Failure> {
-    use crate::live::clock::Clock;
+    use crate::clock::Clock;
     use crate::live::socketcan::FramePort;
     use seepd_logs::BusSurvey;
 

@@ -8,13 +8,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use seepd_signals::{Sample, Signal};
 use tokio::sync::{mpsc, watch};
 
-use super::clock::Clock;
+use crate::clock::Clock;
 use super::commission::BaselineRecord;
-use super::hub::{AxisStatus, BaselineStatus, Course, DutyCycleStatus, Hub, LIVE_POINTS, Order, TrendPoint};
+use crate::hub::{AxisStatus, BaselineStatus, Course, DutyCycleStatus, Hub, LIVE_POINTS, Order, SourceState, TrendPoint};
 use super::state::{AxisState, DutyCycleState, Keeper, LastEstimate};
 use super::systemd::ENDED;
 use crate::config::{AxisConfig, Pace};
-use crate::live::source::{Input, LiveSource, SourceState};
+use super::source::{Input, LiveSource};
 use crate::sink::recording::Recorder;
 use seepd_monitor::alarm::{Alarm, AlarmState, Latch};
 use seepd_monitor::baseline::CusumFinding;

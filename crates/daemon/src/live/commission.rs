@@ -4,7 +4,8 @@
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-use super::state::{DutyCycleState, set_aside, write_durably};
+use super::state::DutyCycleState;
+use crate::durable::{set_aside, write_durably};
 use crate::baseline_file;
 use crate::config::AxisConfig;
 use seepd_monitor::baseline::BaselineFile;

@@ -3,51 +3,44 @@
 //! One thread runs all of it but the disks: each axis is a task that reads its source and pushes into its pipeline, each
 //! sink a task that hears the [`hub`]. Nothing but the hub knows both sides.
 
-pub mod axis;
-pub mod clock;
-pub mod commission;
-pub mod hub;
-pub mod journal;
+mod axis;
+mod commission;
+mod sinks;
 pub mod socketcan;
-pub mod source;
-pub mod spool;
+mod source;
+mod stamps;
 pub mod state;
-pub mod systemd;
+mod systemd;
 
-use std::fs;
 use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use std::thread;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use sd_notify::NotifyState;
+use seepd_monitor::pipeline::DutyCycle;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 
-use seepd_monitor::pipeline::DutyCycle;
-
-use crate::config::{AxisConfig, CanOutConfig, DaemonConfig, HttpConfig, MqttConfig, RecordingConfig};
+use crate::clock::Clock;
+use crate::config::{AxisConfig, DaemonConfig};
 use crate::failure::{Code, Failure};
-use crate::live::source::LiveSource;
-use crate::sink::can::{self, Layout};
-use crate::sink::http::{self, Http};
-use crate::sink::mqtt::{self, Broker};
-use crate::sink::recording::{self, Recorder};
+use crate::hub::{AxisStatus, Hub};
+use crate::sink::recording::Recorder;
 use axis::AxisContext;
-use clock::Clock;
-use hub::{AxisStatus, Hub};
+pub use sinks::check_sinks;
+use sinks::{Ending, RunningSink, SinkConfig, check_sink, sink_configs};
+use source::LiveSource;
+use stamps::{Stamps, axis_files, stamps};
 use state::{Keeper, Trends, read_trends, write_trends};
 use systemd::{Watchdog, one_line, tell};
 
 /// Time that tasks have to end by themselves.
 const ENDING: Duration = Duration::from_millis(1200);
-/// Wait before a port that is taken is tried again.
-const RETRY_PORT: Duration = Duration::from_secs(3);
 /// The trends, which are for people, are written this often.
 const TREND_EVERY: Duration = Duration::from_secs(600);
 /// What the disk did not take is tried again this often.
@@ -63,23 +56,6 @@ const LOOK: Duration = Duration::from_millis(100);
 pub fn state_folder(config: &DaemonConfig) -> PathBuf {
     let of_service = || std::env::var_os("STATE_DIRECTORY").map(PathBuf::from);
     config.state_dir.clone().or_else(of_service).unwrap_or_else(|| "seepd-state".into())
-}
-
-/// Whether the sinks' files can be read; nothing is opened, made or sent.
-///
-/// # Errors
-/// [`Failure`] of the first that cannot.
-pub fn check_sinks(config: &DaemonConfig) -> Result<(), Failure> {
-    sink_configs(config).iter().try_for_each(check_sink)
-}
-
-fn check_sink(config: &SinkConfig) -> Result<(), Failure> {
-    match config {
-        SinkConfig::Http(http) => http::token(http).map(drop),
-        SinkConfig::Mqtt(mqtt) => mqtt::credentials(mqtt).map(drop),
-        SinkConfig::Can(frame, _) => Layout::new(frame).map(drop),
-        SinkConfig::Recording(..) => Ok(()),
-    }
 }
 
 /// Runs the daemon with a configuration file until it is told to stop, or all of its logs have been read.
@@ -130,53 +106,6 @@ struct RunningAxis {
     stop: watch::Sender<bool>,
     task: JoinHandle<bool>,
     progress: Arc<AtomicU64>,
-}
-
-/// What a sink is configured to do.
-#[derive(Debug, Clone, PartialEq)]
-enum SinkConfig {
-    Http(HttpConfig),
-    Mqtt(MqttConfig),
-    Can(CanOutConfig, String),
-    Recording(RecordingConfig, Vec<String>),
-}
-
-impl SinkConfig {
-    fn name(&self) -> String {
-        match self {
-            SinkConfig::Http(_) => http::SINK.into(),
-            SinkConfig::Mqtt(_) => mqtt::SINK.into(),
-            SinkConfig::Can(frame, _) => can::sink_name(frame),
-            SinkConfig::Recording(..) => recording::SINK.into(),
-        }
-    }
-
-    /// Secrets and certificates.
-    fn files(&self) -> impl Iterator<Item = &PathBuf> {
-        let files = match self {
-            SinkConfig::Http(http) => [http.token_file.as_ref(), None, None, None],
-            SinkConfig::Mqtt(mqtt) => {
-                let ca_file = Some(&mqtt.ca_file).filter(|_| mqtt.tls);
-                let own = [&mqtt.password_file, &mqtt.certificate_file, &mqtt.key_file].map(Option::as_ref);
-                [ca_file, own[0], own[1], own[2]]
-            }
-            SinkConfig::Can(..) | SinkConfig::Recording(..) => [None; 4],
-        };
-        files.into_iter().flatten()
-    }
-}
-
-struct RunningSink {
-    config: SinkConfig,
-    files: Stamps,
-    name: String,
-    stop: watch::Sender<bool>,
-    task: Ending,
-}
-
-enum Ending {
-    Task(JoinHandle<()>),
-    Thread(Recorder, thread::JoinHandle<()>),
 }
 
 struct Daemon {
@@ -290,66 +219,6 @@ impl Daemon {
 
     fn watch_axes(&mut self) {
         self.watchdog.watch(self.axes.iter().map(|axis| Arc::clone(&axis.progress)).collect());
-    }
-
-    fn spool_folder(&self) -> PathBuf {
-        self.state_folder.join("spool")
-    }
-
-    /// Starts a sink; one that cannot be started is told of once and tried again, and the others go on.
-    fn start_sink(&mut self, config: SinkConfig) {
-        let name = config.name();
-        let Err(failure) = self.try_start_sink(config.clone(), &name) else {
-            self.hub.update_sink(&name, |sink| sink.good = true);
-            return;
-        };
-        let mut told = false;
-        self.hub.update_sink(&name, |sink| {
-            told = !sink.good && sink.detail == failure.message;
-            (sink.good, sink.detail) = (false, failure.message.clone());
-        });
-        if !told {
-            tracing::error!("{name}: {failure}; trying again every {} s", RETRY_DISK.as_secs());
-        }
-        self.unstarted.push(config);
-    }
-
-    /// Tries again what a disk, a folder or a missing file has prevented.
-    async fn retry(&mut self) {
-        if self.unsaved.is_some() {
-            self.write_state().await;
-        }
-        std::mem::take(&mut self.unstarted).into_iter().for_each(|sink| self.start_sink(sink));
-    }
-
-    fn try_start_sink(&mut self, config: SinkConfig, name: &str) -> Result<(), Failure> {
-        let (stop, stopped) = watch::channel(false);
-        let files = stamps(config.files());
-        let hub = Arc::clone(&self.hub);
-        let task = match &config {
-            SinkConfig::Http(http) => {
-                let site = Http::new(http, hub, self.clock, stopped.clone())?;
-                let serve = serve(site, http.clone(), Arc::clone(&self.hub), stopped);
-                Ending::Task(tokio::spawn(serve))
-            }
-            SinkConfig::Mqtt(mqtt) => {
-                let broker = Broker::new(mqtt, &self.spool_folder(), hub)?;
-                Ending::Task(tokio::spawn(broker.run(stopped)))
-            }
-            SinkConfig::Can(frame, axis) => {
-                let layout = Layout::new(frame)?;
-                let task = can::run(frame.clone(), layout, axis.clone(), hub, stopped);
-                Ending::Task(tokio::spawn(task))
-            }
-            SinkConfig::Recording(recording, axes) => {
-                let folder = recording.folder.clone().unwrap_or_else(|| self.state_folder.join("recordings"));
-                let (recorder, thread) = recording::start(recording, &folder, axes.clone(), hub)?;
-                self.recorder.send_replace(Some(recorder.clone()));
-                Ending::Thread(recorder, thread)
-            }
-        };
-        self.sinks.push(RunningSink { config, files, name: name.to_owned(), stop, task });
-        Ok(())
     }
 
     /// Works until told to stop, or until all axes have ended.
@@ -508,15 +377,6 @@ impl Daemon {
         Ok(())
     }
 
-    async fn end_sink(&mut self, sink: RunningSink) {
-        if matches!(sink.task, Ending::Thread(..)) {
-            self.recorder.send_replace(None);
-        }
-        let name = sink.name.clone();
-        sink.end().await;
-        self.hub.remove_sink(&name);
-    }
-
     /// Ends axes, writes the state, ends sinks: in this order, so that the last events still go out.
     async fn stop(&mut self) {
         for axis in std::mem::take(&mut self.axes) {
@@ -562,77 +422,6 @@ async fn end_axis(axis: RunningAxis) {
     }
 }
 
-impl RunningSink {
-    async fn end(self) {
-        self.stop.send_replace(true);
-        match self.task {
-            Ending::Task(task) => {
-                let abort = task.abort_handle();
-                if timeout(ENDING, task).await.is_err() {
-                    abort.abort();
-                }
-            }
-            Ending::Thread(recorder, thread) => {
-                let end = tokio::task::spawn_blocking(move || {
-                    recorder.stop();
-                    thread.join().is_ok()
-                });
-                let _ = timeout(ENDING, end).await;
-            }
-        }
-    }
-}
-
-/// Opens the port as soon as it is free, and serves.
-async fn serve(site: Http, config: HttpConfig, hub: Arc<Hub>, mut stop: watch::Receiver<bool>) {
-    loop {
-        match site.bind().await {
-            Ok(listener) => return site.run(listener).await,
-            Err(error) => {
-                let what = format!("opening {}: {error}", config.listen);
-                tracing::error!("http: {what}; trying again");
-                hub.update_sink(http::SINK, |sink| (sink.good, sink.detail) = (false, what));
-            }
-        }
-        tokio::select! {
-            () = sleep(RETRY_PORT) => {}
-            _ = stop.changed() => return,
-        }
-    }
-}
-
-fn sink_configs(config: &DaemonConfig) -> Vec<SinkConfig> {
-    let names: Vec<String> = config.axes.iter().map(|axis| axis.axis.clone()).collect();
-    let sinks = config.sinks.clone();
-    let recording = sinks.recording.map(|recording| SinkConfig::Recording(recording, names.clone()));
-    let can = sinks.can_out.into_iter().map(|frame| {
-        let axis = if frame.axis.is_empty() {
-            names.first().cloned().unwrap_or_default()
-        } else {
-            frame.axis.clone()
-        };
-        SinkConfig::Can(frame, axis)
-    });
-    let http = sinks.http.map(SinkConfig::Http);
-    let mqtt = sinks.mqtt.map(SinkConfig::Mqtt);
-    recording.into_iter().chain(http).chain(mqtt).chain(can).collect()
-}
-
-/// When files were last changed, by which a reload tells what to take up anew although the configuration still says the same.
-type Stamps = Vec<Option<SystemTime>>;
-
-fn stamps<'a>(files: impl IntoIterator<Item = &'a PathBuf>) -> Stamps {
-    files.into_iter().map(|path| fs::metadata(path).ok()?.modified().ok()).collect()
-}
-
-/// The files that an axis is made of.
-fn axis_files(config: &AxisConfig) -> impl Iterator<Item = &PathBuf> {
-    let of_axis = [&config.model, &config.dbc, &config.baseline.file].into_iter().flatten();
-    let of_duty_cycles = config.duty_cycles.iter();
-    of_axis.chain(
-        of_duty_cycles.flat_map(|duty_cycle| [&duty_cycle.model].into_iter().chain(&duty_cycle.baseline)),
-    )
-}
 
 /// A name that no other run has: 64 random bits, which the standard library takes from the system.
 pub(crate) fn run_name() -> String {

@@ -18,8 +18,9 @@ use seepd_signals::Sample;
 use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
 use tokio::net::UnixDatagram;
 
-use super::clock::{Clock, Stamps};
-use super::source::{Input, SourceHealth, SourceState};
+use crate::clock::{Clock, Stamps};
+use super::source::Input;
+use crate::hub::{SourceHealth, SourceState};
 use crate::config::AxisConfig;
 use crate::failure::Failure;
 use seepd_logs::can::decode::FrameDecoder;

@@ -6,13 +6,13 @@ use std::time::Duration;
 
 use seepd_logs::open;
 use seepd_signals::Sample;
-use serde::Serialize;
 use tokio::sync::mpsc;
 
 use super::socketcan::CanSource;
+use crate::hub::{SourceHealth, SourceState};
 use crate::config::{AxisConfig, Pace};
 use crate::failure::{Code, Failure};
-use crate::live::clock::Clock;
+use crate::clock::Clock;
 use crate::sink::plain::one_line;
 
 /// What a source says when it is asked.
@@ -26,56 +26,6 @@ pub enum Input {
     Down(String),
     /// The log has ended, well or with an error.
     End(Option<String>),
-}
-
-/// How an input is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SourceState {
-    /// Nothing has come yet.
-    #[default]
-    Waiting,
-    /// Samples come.
-    Receiving,
-    /// The bus is there, but no command comes.
-    Silent,
-    /// There is no such interface, or it is down.
-    Down,
-    /// The log has been read.
-    Ended,
-}
-
-/// An input's condition and counts.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize)]
-pub struct SourceHealth {
-    /// Interface or log.
-    pub name: String,
-    /// How it is.
-    pub state: SourceState,
-    /// Why it is so.
-    pub detail: Option<String>,
-    /// Frames received.
-    pub frames: u64,
-    /// Of these, such that gave a sample.
-    pub samples: u64,
-    /// Frames that the kernel dropped because the socket's buffer was full.
-    pub dropped_in_socket: u64,
-    /// Frames that the sender's counter says were lost.
-    pub missing_by_counter: u64,
-    /// Frames with the counter of the frame before: sent twice, or by two senders.
-    pub repeated: u64,
-    /// Times that the counter went back.
-    pub counter_jumps: u64,
-    /// Frames with a wrong size or length code.
-    pub malformed: u64,
-    /// Frames too short for a mapped signal.
-    pub too_short: u64,
-    /// Remote frames.
-    pub remote: u64,
-    /// Error frames.
-    pub error: u64,
-    /// Times that the socket was opened again.
-    pub reopened: u64,
 }
 
 /// A source of the daemon.

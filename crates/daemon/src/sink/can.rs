@@ -12,7 +12,7 @@ use tokio::sync::watch;
 
 use crate::config::{CanOutConfig, CanValue};
 use crate::failure::{Code, Failure};
-use crate::live::hub::{AxisStatus, Hub};
+use crate::hub::{AxisStatus, Hub};
 use seepd_logs::can::bit_field::BitField;
 use seepd_logs::can::{Content, Frame, Identifier, linux};
 use seepd_logs::identifier;

@@ -9,7 +9,7 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 
-use crate::live::hub::{AxisStatus, SinkStatus};
+use crate::hub::{AxisStatus, SinkStatus};
 use seepd_monitor::baseline::CusumFinding;
 use seepd_monitor::event::Flag;
 

@@ -22,7 +22,7 @@ use seepd_signals::{Sample, Signal};
 use super::mcap::{McapSink, schema};
 use crate::config::{Pace, RecordingConfig};
 use crate::failure::Failure;
-use crate::live::hub::{Hub, Kind, Publication};
+use crate::hub::{Hub, Kind, Publication};
 use shelf::{MB, Shelf};
 
 /// Samples on their way to the thread.

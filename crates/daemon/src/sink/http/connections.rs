@@ -16,8 +16,8 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::sleep;
 
-use crate::live::clock;
-use crate::live::journal::Warnings;
+use crate::clock;
+use crate::journal::Warnings;
 
 /// Wait where the system has no descriptor left.
 const RETRY: Duration = Duration::from_millis(200);

@@ -29,9 +29,9 @@ use self::connections::Limits;
 use super::prometheus;
 use crate::config::HttpConfig;
 use crate::failure::Failure;
-use crate::live::clock::{self, Clock};
-use crate::live::hub::{AxisStatus, Hub, NotTaken, Order, SinkStatus};
-use crate::live::source::SourceState;
+use crate::clock::{self, Clock};
+use crate::hub::{AxisStatus, Hub, NotTaken, Order, SinkStatus};
+use crate::hub::SourceState;
 use seepd_settings::side_file;
 
 /// The dashboard's name among the sinks.

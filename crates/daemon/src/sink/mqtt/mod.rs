@@ -8,6 +8,7 @@
 //! is set aside, so that those behind it arrive.
 
 mod connection;
+pub mod spool;
 
 use std::collections::BTreeSet;
 use std::io;
@@ -22,10 +23,10 @@ use tokio::time::{Instant, sleep_until, timeout};
 use self::connection::{Connection, ConnectionEvent, Link, Message};
 use crate::config::MqttConfig;
 use crate::failure::Failure;
-use crate::live::hub::{AxisStatus, Hub, Order, Publication};
-use crate::live::journal::Warnings;
-use crate::live::source::SourceState;
-use crate::live::spool::{Counts, Spool};
+use crate::hub::{AxisStatus, Hub, Order, Publication};
+use crate::journal::Warnings;
+use crate::hub::SourceState;
+use crate::sink::mqtt::spool::{Counts, Spool};
 use seepd_monitor::event::Flag;
 
 pub use self::connection::credentials;
@@ -452,13 +453,13 @@ async fn next_event(connection: &mut Option<Connection>) -> Option<ConnectionEve
 }
 
 fn now() -> Instant {
-    crate::live::clock::instant()
+    crate::clock::instant()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::live::hub::Kind;
+    use crate::hub::Kind;
 
     fn broker(folder: &Path) -> Broker {
         Broker::new(&MqttConfig::default(), folder, Hub::new("test".into())).unwrap()

@@ -57,7 +57,7 @@ impl Shelf {
             let path = self.folder.join(format!("seepd-{stamp}-{number:06}.mcap"));
             match File::create_new(&path) {
                 Ok(file) => {
-                    crate::live::state::sync_folder(&path)?;
+                    crate::durable::sync_folder(&path)?;
                     return Ok((path, file));
                 }
                 // `test-sinks` may have been faster.

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 
 use crate::failure::Failure;
-use crate::live::state::write_durably;
+use crate::durable::write_durably;
 use seepd_settings::side_file;
 
 /// Version of the entries that are written.

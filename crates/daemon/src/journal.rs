@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn a_flood_of_warnings_is_a_line_each_in_ten_seconds_and_a_count() {
-        let begin = crate::live::clock::instant();
+        let begin = crate::clock::instant();
         let mut warnings = Warnings::new(begin);
         let mut line = |after_s, text: &str| warnings.admit(begin + Duration::from_secs(after_s), text);
         let of_one: Vec<u64> = (0..1000).filter_map(|_| line(1, "a")).collect();

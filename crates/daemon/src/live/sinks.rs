@@ -1,0 +1,214 @@
+//! The sinks of the daemon: which the configuration names, and how each is started, tried again and ended.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use tokio::time::{sleep, timeout};
+
+use super::stamps::{Stamps, stamps};
+use super::{Daemon, ENDING, RETRY_DISK};
+use crate::config::{CanOutConfig, DaemonConfig, HttpConfig, MqttConfig, RecordingConfig};
+use crate::failure::Failure;
+use crate::hub::Hub;
+use crate::sink::can::{self, Layout};
+use crate::sink::http::{self, Http};
+use crate::sink::mqtt::{self, Broker};
+use crate::sink::recording::{self, Recorder};
+
+/// Wait before a port that is taken is tried again.
+const RETRY_PORT: Duration = Duration::from_secs(3);
+
+/// What a sink is configured to do.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum SinkConfig {
+    Http(HttpConfig),
+    Mqtt(MqttConfig),
+    Can(CanOutConfig, String),
+    Recording(RecordingConfig, Vec<String>),
+}
+
+impl SinkConfig {
+    pub(super) fn name(&self) -> String {
+        match self {
+            SinkConfig::Http(_) => http::SINK.into(),
+            SinkConfig::Mqtt(_) => mqtt::SINK.into(),
+            SinkConfig::Can(frame, _) => can::sink_name(frame),
+            SinkConfig::Recording(..) => recording::SINK.into(),
+        }
+    }
+
+    /// Secrets and certificates.
+    pub(super) fn files(&self) -> impl Iterator<Item = &PathBuf> {
+        let files = match self {
+            SinkConfig::Http(http) => [http.token_file.as_ref(), None, None, None],
+            SinkConfig::Mqtt(mqtt) => {
+                let ca_file = Some(&mqtt.ca_file).filter(|_| mqtt.tls);
+                let own = [&mqtt.password_file, &mqtt.certificate_file, &mqtt.key_file].map(Option::as_ref);
+                [ca_file, own[0], own[1], own[2]]
+            }
+            SinkConfig::Can(..) | SinkConfig::Recording(..) => [None; 4],
+        };
+        files.into_iter().flatten()
+    }
+}
+
+pub(super) struct RunningSink {
+    pub(super) config: SinkConfig,
+    pub(super) files: Stamps,
+    name: String,
+    stop: watch::Sender<bool>,
+    task: Ending,
+}
+
+pub(super) enum Ending {
+    Task(JoinHandle<()>),
+    Thread(Recorder, thread::JoinHandle<()>),
+}
+
+/// Whether the sinks' files can be read; nothing is opened, made or sent.
+///
+/// # Errors
+/// [`Failure`] of the first that cannot.
+pub fn check_sinks(config: &DaemonConfig) -> Result<(), Failure> {
+    sink_configs(config).iter().try_for_each(check_sink)
+}
+
+pub(super) fn check_sink(config: &SinkConfig) -> Result<(), Failure> {
+    match config {
+        SinkConfig::Http(http) => http::token(http).map(drop),
+        SinkConfig::Mqtt(mqtt) => mqtt::credentials(mqtt).map(drop),
+        SinkConfig::Can(frame, _) => Layout::new(frame).map(drop),
+        SinkConfig::Recording(..) => Ok(()),
+    }
+}
+
+pub(super) fn sink_configs(config: &DaemonConfig) -> Vec<SinkConfig> {
+    let names: Vec<String> = config.axes.iter().map(|axis| axis.axis.clone()).collect();
+    let sinks = config.sinks.clone();
+    let recording = sinks.recording.map(|recording| SinkConfig::Recording(recording, names.clone()));
+    let can = sinks.can_out.into_iter().map(|frame| {
+        let axis = if frame.axis.is_empty() {
+            names.first().cloned().unwrap_or_default()
+        } else {
+            frame.axis.clone()
+        };
+        SinkConfig::Can(frame, axis)
+    });
+    let http = sinks.http.map(SinkConfig::Http);
+    let mqtt = sinks.mqtt.map(SinkConfig::Mqtt);
+    recording.into_iter().chain(http).chain(mqtt).chain(can).collect()
+}
+
+impl Daemon {
+    fn spool_folder(&self) -> PathBuf {
+        self.state_folder.join("spool")
+    }
+
+    /// Starts a sink; one that cannot be started is told of once and tried again, and the others go on.
+    pub(super) fn start_sink(&mut self, config: SinkConfig) {
+        let name = config.name();
+        let Err(failure) = self.try_start_sink(config.clone(), &name) else {
+            self.hub.update_sink(&name, |sink| sink.good = true);
+            return;
+        };
+        let mut told = false;
+        self.hub.update_sink(&name, |sink| {
+            told = !sink.good && sink.detail == failure.message;
+            (sink.good, sink.detail) = (false, failure.message.clone());
+        });
+        if !told {
+            tracing::error!("{name}: {failure}; trying again every {} s", RETRY_DISK.as_secs());
+        }
+        self.unstarted.push(config);
+    }
+
+    /// Tries again what a disk, a folder or a missing file has prevented.
+    pub(super) async fn retry(&mut self) {
+        if self.unsaved.is_some() {
+            self.write_state().await;
+        }
+        std::mem::take(&mut self.unstarted).into_iter().for_each(|sink| self.start_sink(sink));
+    }
+
+    fn try_start_sink(&mut self, config: SinkConfig, name: &str) -> Result<(), Failure> {
+        let (stop, stopped) = watch::channel(false);
+        let files = stamps(config.files());
+        let hub = Arc::clone(&self.hub);
+        let task = match &config {
+            SinkConfig::Http(http) => {
+                let site = Http::new(http, hub, self.clock, stopped.clone())?;
+                let serve = serve(site, http.clone(), Arc::clone(&self.hub), stopped);
+                Ending::Task(tokio::spawn(serve))
+            }
+            SinkConfig::Mqtt(mqtt) => {
+                let broker = Broker::new(mqtt, &self.spool_folder(), hub)?;
+                Ending::Task(tokio::spawn(broker.run(stopped)))
+            }
+            SinkConfig::Can(frame, axis) => {
+                let layout = Layout::new(frame)?;
+                let task = can::run(frame.clone(), layout, axis.clone(), hub, stopped);
+                Ending::Task(tokio::spawn(task))
+            }
+            SinkConfig::Recording(recording, axes) => {
+                let folder = recording.folder.clone().unwrap_or_else(|| self.state_folder.join("recordings"));
+                let (recorder, thread) = recording::start(recording, &folder, axes.clone(), hub)?;
+                self.recorder.send_replace(Some(recorder.clone()));
+                Ending::Thread(recorder, thread)
+            }
+        };
+        self.sinks.push(RunningSink { config, files, name: name.to_owned(), stop, task });
+        Ok(())
+    }
+
+    pub(super) async fn end_sink(&mut self, sink: RunningSink) {
+        if matches!(sink.task, Ending::Thread(..)) {
+            self.recorder.send_replace(None);
+        }
+        let name = sink.name.clone();
+        sink.end().await;
+        self.hub.remove_sink(&name);
+    }
+}
+
+impl RunningSink {
+    pub(super) async fn end(self) {
+        self.stop.send_replace(true);
+        match self.task {
+            Ending::Task(task) => {
+                let abort = task.abort_handle();
+                if timeout(ENDING, task).await.is_err() {
+                    abort.abort();
+                }
+            }
+            Ending::Thread(recorder, thread) => {
+                let end = tokio::task::spawn_blocking(move || {
+                    recorder.stop();
+                    thread.join().is_ok()
+                });
+                let _ = timeout(ENDING, end).await;
+            }
+        }
+    }
+}
+
+/// Opens the port as soon as it is free, and serves.
+async fn serve(site: Http, config: HttpConfig, hub: Arc<Hub>, mut stop: watch::Receiver<bool>) {
+    loop {
+        match site.bind().await {
+            Ok(listener) => return site.run(listener).await,
+            Err(error) => {
+                let what = format!("opening {}: {error}", config.listen);
+                tracing::error!("http: {what}; trying again");
+                hub.update_sink(http::SINK, |sink| (sink.good, sink.detail) = (false, what));
+            }
+        }
+        tokio::select! {
+            () = sleep(RETRY_PORT) => {}
+            _ = stop.changed() => return,
+        }
+    }
+}
