@@ -13,6 +13,7 @@ use seepd_logs::LogMapping;
 use seepd_logs::McapSource;
 use seepd_logs::Source;
 use seepd_signals::Signal;
+
 use support::{estimates, fixture, reasons, replay, seepd, simulate, stderr, summary};
 
 /// Exit code and the one line of a run that must fail.

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use serde_json::Value;
+
 use support::{estimates, reasons, seepd, simulate, stderr, stdout, summary};
 
 /// A folder with the baselines of two machines: the nominal one, and one with dry friction and a valve that is off its null.

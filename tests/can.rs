@@ -14,6 +14,7 @@ use seepd_logs::can::candump::Line;
 use seepd_logs::can::dbc::{Dbc, Reading};
 use seepd_signals::Signal;
 use serde_json::Value;
+
 use support::{estimates, fixture, replay, seepd, simulate, stderr, stdout, summary};
 
 /// Command and demand in an 11-bit frame, Motorola; load in a 29-bit FD frame, Intel, behind a multiplexer.

@@ -20,6 +20,7 @@ use std::sync::LazyLock;
 use seepd_logs::LogMapping;
 use seepd_signals::Signal;
 use serde_json::Value;
+
 use support::{seepd, simulate, stderr, stdout};
 
 /// A shorter stroke in a shorter time.

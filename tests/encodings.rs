@@ -21,6 +21,7 @@ use seepd_logs::Source;
 use seepd_logs::survey::{FieldSurvey, survey};
 use seepd_logs::{LogError, LogMapping, Selection, SignalMapping};
 use seepd_signals::Signal;
+
 use support::{fixture, python, replay, simulate};
 
 /// Mapping of the command (in percent) and the cap's pressure (second of three, in bar) with the message's own time.

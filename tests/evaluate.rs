@@ -9,6 +9,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
+
 use support::{replay, seepd, simulate, stderr, stdout};
 
 const NOISY: [&str; 4] = ["--noise", "0.003", "--load-variation", "0.05"];

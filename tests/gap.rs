@@ -12,6 +12,7 @@ use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
 use seepd_sim::electric::ElectricAxis;
 use serde_json::Value;
+
 use support::{fixture, seepd, simulate, stderr, stdout};
 
 fn text_of(path: &Path) -> &str {

@@ -17,6 +17,7 @@ use std::process::{Command, Output};
 
 use mcap::records::MessageHeader;
 use serde_json::Value;
+
 use support::{fixture, seepd, stderr};
 
 /// What the program takes for a good log, bytes of writable memory: its own data, stacks, buffers, the model's trees.

@@ -10,6 +10,7 @@ use std::process::{Command, Output};
 
 use seepd_model::Model;
 use serde_json::{Value, json};
+
 use support::{python, replay, seepd, simulate, stderr, stdout};
 
 fn path(relative: &str) -> PathBuf {

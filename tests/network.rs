@@ -15,8 +15,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use daemon::{Daemon, Mosquitto, ask, axis_status, free_port, has, json, machine_toml, until};
 use serde_json::Value;
+
+use daemon::{Daemon, Mosquitto, ask, axis_status, free_port, has, json, machine_toml, until};
 use support::{seepd, simulate, stderr, stdout};
 
 const SOON: Duration = Duration::from_secs(15);

@@ -8,6 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
+
 use support::{replay, seepd, simulate, stderr, stdout, summary};
 
 fn text_of(path: &Path) -> &str {

@@ -4,14 +4,14 @@
 //! Files that are written, the terminal, sockets and clocks are known here and nowhere else.
 
 mod baseline_file;
+pub mod cli;
 #[cfg(feature = "live")]
 pub mod clock;
-pub mod cli;
 pub mod commands;
 pub mod config;
-pub mod evaluation;
 #[cfg(feature = "live")]
 mod durable;
+pub mod evaluation;
 pub mod failure;
 pub mod html;
 #[cfg(feature = "live")]

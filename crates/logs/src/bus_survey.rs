@@ -2,12 +2,11 @@
 
 use std::collections::BTreeMap;
 
+use super::survey::{FIELDS_KEPT, TOPICS_KEPT, TopicSurvey};
 use crate::can::bit_field::{BitField, ByteOrder, Encoding};
 use crate::can::dbc::{CanSignal, Dbc, Reading};
 use crate::can::{Content, Frame, Identifier};
 use crate::mapping::BitsMapping;
-
-use super::survey::{FIELDS_KEPT, TOPICS_KEPT, TopicSurvey};
 
 /// Size of the fields that are tried where no DBC file names any, bits.
 const FIELD_BITS: usize = 16;

@@ -12,6 +12,7 @@ use seepd_blind::cause::{Case, Truth};
 use seepd_blind::press::Variation;
 use seepd_blind::score::{Answer, Answered, Scores, score};
 use seepd_gap::{DiagnosisSettings, Log, Record, nominal_gap};
+use seepd_settings::side_file;
 use seepd_signals::Signal;
 use seepd_sim::MachineSpec;
 use seepd_sim::noise::Noise;
@@ -27,7 +28,6 @@ use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::Steps;
 use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
-use seepd_settings::side_file;
 
 /// Checks the diagnosis on logs whose cause is withheld from it: plants causes with a second simulator, diagnoses the logs, and scores
 /// the answers.

@@ -3,6 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use seepd_logs::{frame_decoder, open};
+use seepd_monitor::pipeline::DutyCycle;
+use seepd_settings::side_file;
 use serde::Serialize;
 
 use crate::baseline_file;
@@ -11,9 +14,6 @@ use crate::config::{DaemonConfig, load_model};
 use crate::failure::{Code, Failure};
 use crate::progress::warn;
 use crate::sink::terminal::print;
-use seepd_logs::{frame_decoder, open};
-use seepd_monitor::pipeline::DutyCycle;
-use seepd_settings::side_file;
 
 /// Check plant, model and configuration files
 ///

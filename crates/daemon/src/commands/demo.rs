@@ -5,6 +5,10 @@ use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use seepd_logs::open;
+use seepd_monitor::event::{Event, Flag, FlagEvent};
+use seepd_monitor::pipeline::Pipeline;
+use seepd_signals::Signal;
 use seepd_sim::MachineSpec;
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
@@ -16,10 +20,6 @@ use crate::failure::Failure;
 use crate::html::demo::{DemoPage, FlagChange, Point};
 use crate::output::{Outputs, OverwriteArguments};
 use crate::sink::terminal::{self, Colour};
-use seepd_logs::open;
-use seepd_monitor::event::{Event, Flag, FlagEvent};
-use seepd_monitor::pipeline::Pipeline;
-use seepd_signals::Signal;
 
 /// Simulate a press whose seal wears, replay its log, and leave the log and a page with plots
 ///

@@ -7,6 +7,8 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
+use seepd_logs::{LogMapping, Selection, SignalMapping, record};
+use seepd_monitor::pipeline::Pipeline;
 use seepd_signals::Signal;
 
 use super::reading::{BaselineArguments, ReadingArguments};
@@ -20,8 +22,6 @@ use crate::output::{Outputs, OverwriteArguments};
 use crate::progress::{byte_bar, counting, warn};
 use crate::sink::evaluation::write_tables;
 use crate::sink::terminal::{listed, print};
-use seepd_logs::{LogMapping, Selection, SignalMapping, record};
-use seepd_monitor::pipeline::Pipeline;
 
 /// Compare estimates and flags with the truth in the logs
 ///

@@ -6,7 +6,10 @@ use std::time::Instant;
 use clap::{Args, Subcommand};
 use seepd_gap::report::{Diagnosis, Verdict};
 use seepd_gap::{DiagnosisSettings, Log, Record, RecordError, SimulatedAxis, cannot_tell, diagnose};
+use seepd_logs::open;
+use seepd_monitor::event::LPM_PER_M3_PER_S;
 use seepd_settings::UnknownKey;
+use seepd_settings::side_file;
 use seepd_signals::Signal;
 use seepd_sim::electric::ElectricAxis;
 use seepd_sim::{MachineSpec, PlantParameters, SpecError};
@@ -23,9 +26,6 @@ use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::Steps;
 use crate::quantity::bar;
 use crate::sink::terminal::print;
-use seepd_logs::open;
-use seepd_monitor::event::LPM_PER_M3_PER_S;
-use seepd_settings::side_file;
 
 /// Find where simulator and machine differ, and which effect explains it
 ///

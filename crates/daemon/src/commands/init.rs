@@ -5,6 +5,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use seepd_logs::can::dbc::Dbc;
+use seepd_logs::survey::LogSurvey;
 
 use super::inspect::{is_interface, look};
 use crate::cli::Outcome;
@@ -12,8 +14,6 @@ use crate::config::DaemonConfig;
 use crate::failure::{Code, Failure};
 use crate::output::{Outputs, OverwriteArguments};
 use crate::sink::plain::{self, one_line};
-use seepd_logs::can::dbc::Dbc;
-use seepd_logs::survey::LogSurvey;
 
 /// Listen on a CAN interface and write a first configuration
 ///

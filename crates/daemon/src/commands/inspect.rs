@@ -7,15 +7,15 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
+use seepd_logs::CountedReader;
+use seepd_logs::can::dbc::Dbc;
+use seepd_logs::survey::{LogSurvey, survey, toml_text};
 
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::progress::{byte_bar, counting};
 use crate::sink::plain::{self, one_line};
 use crate::sink::terminal::print;
-use seepd_logs::CountedReader;
-use seepd_logs::can::dbc::Dbc;
-use seepd_logs::survey::{LogSurvey, survey, toml_text};
 
 /// Show what a log or a CAN bus has, and propose the mapping that reads it
 ///

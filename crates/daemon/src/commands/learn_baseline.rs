@@ -6,7 +6,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
+use seepd_logs::record;
 use seepd_model::Model;
+use seepd_monitor::baseline::{Baseline, BaselineFile, MOST_CYCLES};
+use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
 use super::reading::{ReadingArguments, check_cycles};
 use crate::baseline_file;
@@ -17,9 +20,6 @@ use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::{byte_bar, counting, warn};
 use crate::quantity::{mm2, mm2_interval};
 use crate::sink::terminal::print;
-use seepd_logs::record;
-use seepd_monitor::baseline::{Baseline, BaselineFile, MOST_CYCLES};
-use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
 /// Learn the baseline of a healthy machine, so that estimates are relative to it
 ///

@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use seepd_logs::Selection;
+use seepd_monitor::baseline::{Baseline, LEAST_CYCLES, MOST_CYCLES};
+use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
 use crate::baseline_file;
 use crate::config::{AxisConfig, DaemonConfig};
 use crate::failure::{Code, Failure};
-use seepd_logs::Selection;
-use seepd_monitor::baseline::{Baseline, LEAST_CYCLES, MOST_CYCLES};
-use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
 /// The arguments that say where the signals are.
 #[derive(Debug, Args)]

@@ -6,6 +6,10 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use indicatif::ProgressBar;
+use seepd_logs::open_with;
+use seepd_logs::record::Clock;
+use seepd_monitor::event::{Event, Flag, Summary};
+use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
 use super::reading::{BaselineArguments, ReadingArguments};
 use crate::cli::Outcome;
@@ -20,10 +24,6 @@ use crate::sink::json;
 use crate::sink::mcap::EventSink;
 use crate::sink::plain::Plain;
 use crate::sink::terminal::{self, Colour};
-use seepd_logs::open_with;
-use seepd_logs::record::Clock;
-use seepd_monitor::event::{Event, Flag, Summary};
-use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
 /// Read logs (MCAP, CSV, candump) and show the leak by cycle, flags and a summary
 ///

@@ -5,6 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use seepd_settings::side_file;
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::electric::ElectricAxis;
 use seepd_sim::noise::Noise;
@@ -18,7 +19,6 @@ use crate::output::{Output, OutputFile, Outputs, OverwriteArguments};
 use crate::progress::{progress_bar, warn};
 use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
-use seepd_settings::side_file;
 
 /// Write the log of a simulated machine (MCAP)
 ///

@@ -8,21 +8,21 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use clap::Args;
+use seepd_monitor::event::Flag;
 use serde::Serialize;
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 
 use crate::cli::Outcome;
+use crate::clock::Clock;
 use crate::config::{CanOutConfig, DaemonConfig, HttpConfig, MqttConfig, RecordingConfig};
 use crate::failure::{Code, Failure};
-use crate::clock::Clock;
 use crate::hub::{AxisStatus, Hub, Kind};
 use crate::live::{run_name, state_folder};
 use crate::sink::can::{self, Layout};
 use crate::sink::mqtt::{self, Broker};
 use crate::sink::recording;
 use crate::sink::terminal::print;
-use seepd_monitor::event::Flag;
 
 /// Time that a sink has for the test.
 const PATIENCE: Duration = Duration::from_secs(10);

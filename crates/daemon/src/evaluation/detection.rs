@@ -1,10 +1,10 @@
 //! Alarms beside the truth: delay, and false ones.
 
+use seepd_monitor::event::Flag;
 use serde::Serialize;
 
 use super::record::{CycleRecord, MachineRecord};
 use super::{Class, Conditions, leaks};
-use seepd_monitor::event::Flag;
 
 /// What raises an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use seepd_model::accuracy::Judged;
-
 use seepd_monitor::baseline::CusumFinding;
 use seepd_monitor::event::{CycleLine, Event, Flag};
 

@@ -1,13 +1,13 @@
 //! The page that `seepd demo` leaves.
 
 use maud::{Markup, html};
+use seepd_monitor::alarm::AlarmConfig;
+use seepd_monitor::event::Flag;
 
 use super::chart::{Axis, Chart, Layer};
 use super::flags::{self, colour};
 use super::page;
 use crate::quantity::bar;
-use seepd_monitor::alarm::AlarmConfig;
-use seepd_monitor::event::Flag;
 
 /// An estimate beside the truth.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,7 +1,8 @@
 //! Flags in pages: their colours, and their course over time.
 
-use super::chart::{Axis, Chart, Layer, Scale};
 use seepd_monitor::event::Flag;
+
+use super::chart::{Axis, Chart, Layer, Scale};
 
 /// CSS colour of a flag.
 pub(crate) fn colour(flag: Flag) -> &'static str {

@@ -5,13 +5,13 @@ use std::collections::BTreeMap;
 use maud::{Markup, html};
 use seepd_gap::Diagnosis;
 use seepd_gap::report::RankedEffect;
+use seepd_monitor::event::LPM_PER_M3_PER_S;
 use seepd_signals::Signal;
 use seepd_sim::PlantParameters;
 
 use super::chart::{Axis, Chart, Layer, number};
 use super::page;
 use crate::quantity;
-use seepd_monitor::event::LPM_PER_M3_PER_S;
 
 /// What the page shows.
 pub struct GapPage<'a> {

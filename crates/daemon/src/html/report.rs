@@ -1,15 +1,15 @@
 //! The page that `seepd replay --html` leaves.
 
 use maud::{Markup, html};
+use seepd_monitor::alarm::{AlarmConfig, UNCONFIRMED};
+use seepd_monitor::baseline::Baseline;
+use seepd_monitor::event::{Flag, Summary};
 
 use super::chart::{Axis, Chart, Layer, Size};
 use super::flags::{self, colour};
 use super::page;
 use crate::quantity::{MM2_PER_M2, bar, mm2, mm2_interval};
 use crate::sink::html::{Curves, HtmlSink, Point, Why};
-use seepd_monitor::alarm::{AlarmConfig, UNCONFIRMED};
-use seepd_monitor::baseline::Baseline;
-use seepd_monitor::event::{Flag, Summary};
 
 /// What the page shows.
 pub struct ReportPage<'a> {

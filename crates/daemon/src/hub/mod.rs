@@ -15,8 +15,8 @@ use tokio::sync::{mpsc, watch};
 use crate::clock;
 
 pub use order::{NotTaken, Order};
-pub use publication::{Kind, Publication, Subscription};
 use publication::{Acknowledged, Envelope, Subscriber, TestAlarm};
+pub use publication::{Kind, Publication, Subscription};
 pub use status::{
     AxisStatus, AxisView, BaselineStatus, Course, DutyCycleStatus, LIVE_POINTS, SinkStatus, SourceHealth,
     SourceState, TrendPoint,

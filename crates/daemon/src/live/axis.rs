@@ -5,22 +5,24 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use seepd_signals::{Sample, Signal};
-use tokio::sync::{mpsc, watch};
-
-use crate::clock::Clock;
-use super::commission::BaselineRecord;
-use crate::hub::{AxisStatus, BaselineStatus, Course, DutyCycleStatus, Hub, LIVE_POINTS, Order, SourceState, TrendPoint};
-use super::state::{AxisState, DutyCycleState, Keeper, LastEstimate};
-use super::systemd::ENDED;
-use crate::config::{AxisConfig, Pace};
-use super::source::{Input, LiveSource};
-use crate::sink::recording::Recorder;
 use seepd_monitor::alarm::{Alarm, AlarmState, Latch};
 use seepd_monitor::baseline::CusumFinding;
 use seepd_monitor::baseline::trend::TimeTo;
 use seepd_monitor::event::{CycleLine, Event, Flag, NoticeKind};
 use seepd_monitor::pipeline::{DutyCycle, Monitor, Pipeline};
+use seepd_signals::{Sample, Signal};
+use tokio::sync::{mpsc, watch};
+
+use super::commission::BaselineRecord;
+use super::source::{Input, LiveSource};
+use super::state::{AxisState, DutyCycleState, Keeper, LastEstimate};
+use super::systemd::ENDED;
+use crate::clock::Clock;
+use crate::config::{AxisConfig, Pace};
+use crate::hub::{
+    AxisStatus, BaselineStatus, Course, DutyCycleStatus, Hub, LIVE_POINTS, Order, SourceState, TrendPoint,
+};
+use crate::sink::recording::Recorder;
 
 /// Time between points of the dashboard's curves, ns.
 const POINT_NS: i64 = 20_000_000;

@@ -4,12 +4,13 @@
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-use super::state::DutyCycleState;
-use crate::durable::{set_aside, write_durably};
-use crate::baseline_file;
-use crate::config::AxisConfig;
 use seepd_monitor::baseline::BaselineFile;
 use seepd_monitor::pipeline::Monitor;
+
+use super::state::DutyCycleState;
+use crate::baseline_file;
+use crate::config::AxisConfig;
+use crate::durable::{set_aside, write_durably};
 
 /// Cycles of a baseline that a person asks for where the configuration names none.
 const USUAL_CYCLES: usize = 50;

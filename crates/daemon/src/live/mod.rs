@@ -422,7 +422,6 @@ async fn end_axis(axis: RunningAxis) {
     }
 }
 
-
 /// A name that no other run has: 64 random bits, which the standard library takes from the system.
 pub(crate) fn run_name() -> String {
     format!("{:016x}", RandomState::new().hash_one(Clock::start().now_ns()))

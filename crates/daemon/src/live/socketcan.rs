@@ -13,18 +13,18 @@ use nix::cmsg_space;
 use nix::errno::Errno;
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, recvmsg, setsockopt, sockopt};
 use nix::sys::time::TimeSpec;
+use seepd_logs::can::decode::FrameDecoder;
+use seepd_logs::can::linux::{self, FD_BYTES};
 use seepd_logs::frame_decoder;
 use seepd_signals::Sample;
 use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
 use tokio::net::UnixDatagram;
 
-use crate::clock::{Clock, Stamps};
 use super::source::Input;
-use crate::hub::{SourceHealth, SourceState};
+use crate::clock::{Clock, Stamps};
 use crate::config::AxisConfig;
 use crate::failure::Failure;
-use seepd_logs::can::decode::FrameDecoder;
-use seepd_logs::can::linux::{self, FD_BYTES};
+use crate::hub::{SourceHealth, SourceState};
 
 /// Longest wait before the caller hears that nothing has come.
 const IDLE: Duration = Duration::from_millis(250);

@@ -9,10 +9,10 @@ use seepd_signals::Sample;
 use tokio::sync::mpsc;
 
 use super::socketcan::CanSource;
-use crate::hub::{SourceHealth, SourceState};
+use crate::clock::Clock;
 use crate::config::{AxisConfig, Pace};
 use crate::failure::{Code, Failure};
-use crate::clock::Clock;
+use crate::hub::{SourceHealth, SourceState};
 use crate::sink::plain::one_line;
 
 /// What a source says when it is asked.

@@ -10,15 +10,15 @@ use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use serde::{Deserialize, Serialize};
-use tokio::sync::watch;
-
-use crate::failure::{Code, Failure};
-use crate::durable::{set_aside, sync_folder, write_durably};
-use crate::hub::TrendPoint;
 use seepd_monitor::alarm::{AlarmState, Latch};
 use seepd_monitor::baseline::Cusum;
 use seepd_settings::side_file;
+use serde::{Deserialize, Serialize};
+use tokio::sync::watch;
+
+use crate::durable::{set_aside, sync_folder, write_durably};
+use crate::failure::{Code, Failure};
+use crate::hub::TrendPoint;
 
 /// Version of the file that is written.
 const SCHEMA: &str = "seepd.state/2";

@@ -7,16 +7,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use nix::sys::socket::{MsgFlags, send};
+use seepd_logs::can::bit_field::BitField;
+use seepd_logs::can::{Content, Frame, Identifier, linux};
+use seepd_logs::identifier;
+use seepd_monitor::event::Flag;
 use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
 use tokio::sync::watch;
 
 use crate::config::{CanOutConfig, CanValue};
 use crate::failure::{Code, Failure};
 use crate::hub::{AxisStatus, Hub};
-use seepd_logs::can::bit_field::BitField;
-use seepd_logs::can::{Content, Frame, Identifier, linux};
-use seepd_logs::identifier;
-use seepd_monitor::event::Flag;
 
 /// Wait before an interface that is not there is looked for again.
 const RETRY: Duration = Duration::from_millis(500);

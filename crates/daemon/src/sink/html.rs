@@ -2,10 +2,9 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use seepd_signals::{Sample, Signal};
-
 use seepd_monitor::event::{CycleLine, Event, FeatureValues, Flag, FlagEvent, Notice};
 use seepd_monitor::pipeline::DutyCycle;
+use seepd_signals::{Sample, Signal};
 
 /// Points of a cycle's curve.
 pub const CURVE_BINS: usize = 400;

@@ -2,9 +2,8 @@
 
 use std::io::{self, Write};
 
-use serde::Serialize;
-
 use seepd_monitor::event::{Event, Summary};
+use serde::Serialize;
 
 /// Writes a cycle's line. Changes of flag show in the cycles' flags and, by themselves, in MCAP.
 ///

@@ -7,7 +7,6 @@ use std::io::{self, Write};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
-
 use seepd_monitor::event::Event;
 
 /// Library name in the files' header.

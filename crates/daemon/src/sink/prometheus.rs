@@ -8,10 +8,10 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
-
-use crate::hub::{AxisStatus, SinkStatus};
 use seepd_monitor::baseline::CusumFinding;
 use seepd_monitor::event::Flag;
+
+use crate::hub::{AxisStatus, SinkStatus};
 
 /// Media type of the text.
 pub const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";

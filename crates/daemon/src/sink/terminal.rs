@@ -3,11 +3,12 @@
 use std::io::{self, Write};
 use std::path::Path;
 
+use seepd_monitor::alarm::UNCONFIRMED;
+use seepd_monitor::event::{CycleLine, Event, Flag, FlagEvent, Summary};
+
 use crate::failure::Failure;
 use crate::quantity::{bar, mm2, mm2_interval};
 use crate::sink::plain;
-use seepd_monitor::alarm::UNCONFIRMED;
-use seepd_monitor::event::{CycleLine, Event, Flag, FlagEvent, Summary};
 
 /// Writes on standard output. A reader that goes away is no failure: it has what it wanted.
 ///

@@ -19,6 +19,7 @@ use axum::middleware::{self, Next};
 use axum::response::sse::{self, Sse};
 use axum::response::{IntoResponse, Redirect, Response};
 use axum::routing::{get, post};
+use seepd_settings::side_file;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use tokio::net::TcpListener;
@@ -27,12 +28,11 @@ use tokio_stream::wrappers::ReceiverStream;
 
 use self::connections::Limits;
 use super::prometheus;
+use crate::clock::{self, Clock};
 use crate::config::HttpConfig;
 use crate::failure::Failure;
-use crate::clock::{self, Clock};
-use crate::hub::{AxisStatus, Hub, NotTaken, Order, SinkStatus};
 use crate::hub::SourceState;
-use seepd_settings::side_file;
+use crate::hub::{AxisStatus, Hub, NotTaken, Order, SinkStatus};
 
 /// The dashboard's name among the sinks.
 pub const SINK: &str = "http";

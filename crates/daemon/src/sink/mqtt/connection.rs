@@ -8,12 +8,12 @@ use rumqttc::{QoS, TlsConfiguration, Transport, v5};
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::{ClientConfig, RootCertStore};
+use seepd_settings::side_file;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
 use crate::config::{MqttConfig, MqttVersion};
 use crate::failure::{Code, Failure};
-use seepd_settings::side_file;
 
 /// Time after which a silent broker is asked whether it is there.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);

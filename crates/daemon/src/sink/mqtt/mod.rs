@@ -23,9 +23,9 @@ use tokio::time::{Instant, sleep_until, timeout};
 use self::connection::{Connection, ConnectionEvent, Link, Message};
 use crate::config::MqttConfig;
 use crate::failure::Failure;
+use crate::hub::SourceState;
 use crate::hub::{AxisStatus, Hub, Order, Publication};
 use crate::journal::Warnings;
-use crate::hub::SourceState;
 use crate::sink::mqtt::spool::{Counts, Spool};
 use seepd_monitor::event::Flag;
 

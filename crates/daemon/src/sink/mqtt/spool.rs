@@ -9,12 +9,12 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use seepd_settings::side_file;
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 
-use crate::failure::Failure;
 use crate::durable::write_durably;
-use seepd_settings::side_file;
+use crate::failure::Failure;
 
 /// Version of the entries that are written.
 const SCHEMA: &str = "seepd.spool/2";
