@@ -6,7 +6,7 @@ use clap::Args;
 
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
-use crate::live;
+use crate::{journal, live};
 
 /// Watch axes live: read CAN, and give leakage, flags and a dashboard
 ///
@@ -30,7 +30,7 @@ pub struct RunArguments {
 /// # Errors
 /// [`Failure`] where the configuration cannot be used.
 pub fn run(arguments: &RunArguments) -> Result<Outcome, Failure> {
-    live::journal::begin(&arguments.log_level)?;
+    journal::begin(&arguments.log_level)?;
     let result = runtime()?.block_on(live::run(&arguments.config));
     if let Err(failure) = &result {
         tracing::error!("{failure}");

@@ -24,16 +24,16 @@ use seepd_monitor::pipeline::DutyCycle;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
-use tokio::time::{sleep, timeout};
+use tokio::time::timeout;
 
 use crate::clock::Clock;
 use crate::config::{AxisConfig, DaemonConfig};
 use crate::failure::{Code, Failure};
-use crate::hub::{AxisStatus, Hub};
+use crate::hub::{AxisStatus, Hub, Publication};
 use crate::sink::recording::Recorder;
 use axis::AxisContext;
 pub use sinks::check_sinks;
-use sinks::{Ending, RunningSink, SinkConfig, check_sink, sink_configs};
+use sinks::{RunningSink, SinkConfig, check_sink, sink_configs};
 use source::LiveSource;
 use stamps::{Stamps, axis_files, stamps};
 use state::{Keeper, Trends, read_trends, write_trends};
@@ -262,7 +262,7 @@ impl Daemon {
         result
     }
 
-    fn record(&self, event: &Arc<hub::Publication>) {
+    fn record(&self, event: &Arc<Publication>) {
         if let Some(recorder) = self.recorder.borrow().as_ref() {
             recorder.event(event);
         }

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
 use std::os::unix::fs::OpenOptionsExt;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use seepd_monitor::alarm::{AlarmState, Latch};
@@ -16,7 +16,7 @@ use seepd_settings::side_file;
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 
-use crate::durable::{set_aside, sync_folder, write_durably};
+use crate::durable::{set_aside, write_durably};
 use crate::failure::{Code, Failure};
 use crate::hub::TrendPoint;
 
