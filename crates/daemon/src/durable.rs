@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 /// Writing failed; the old one is untouched.
-pub fn write_durably(path: &Path, bytes: &[u8]) -> io::Result<()> {
+pub(crate) fn write_durably(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let new = path.with_extension("new");
     write_new(&new, bytes).and_then(|()| fs::rename(&new, path)).inspect_err(|_| {
         // Half a file would take room that the next try needs.
@@ -32,12 +32,12 @@ fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
 ///
 /// # Errors
 /// The folder cannot be opened.
-pub fn sync_folder(of_file: &Path) -> io::Result<()> {
+pub(crate) fn sync_folder(of_file: &Path) -> io::Result<()> {
     of_file.parent().map_or(Ok(()), |folder| File::open(folder)?.sync_all())
 }
 
 /// Moves a file that cannot be read out of the way; tells its new name.
-pub fn set_aside(path: &Path) -> String {
+pub(crate) fn set_aside(path: &Path) -> String {
     let taken = |number: &u32| path.with_extension(format!("damaged-{number}"));
     let free = (1..1000).map(|number| taken(&number)).find(|aside| !aside.exists());
     let aside: PathBuf = free.unwrap_or_else(|| taken(&0));

@@ -59,7 +59,7 @@ pub(super) struct Envelope<'a, E: Serialize> {
     /// The same in each repeat of a message, and in no other message.
     pub(super) id: String,
     /// Wall-clock time; null where the clock was never set.
-    published_at: Option<String>,
+    pub(super) published_at: Option<String>,
 }
 
 /// `seepd.acknowledged/1`.

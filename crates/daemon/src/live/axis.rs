@@ -30,7 +30,7 @@ const POINT_NS: i64 = 20_000_000;
 const TELL_NS: i64 = 200_000_000;
 
 /// What an axis needs beside its configuration.
-pub struct AxisContext {
+pub(super) struct AxisContext {
     /// Where it tells.
     pub hub: Arc<Hub>,
     /// What keeps its state.
@@ -46,7 +46,7 @@ pub struct AxisContext {
 }
 
 /// Runs an axis until it is told to stop or its log ends. `true` where the log ended.
-pub async fn run(
+pub(super) async fn run(
     config: AxisConfig,
     duty_cycles: Vec<DutyCycle>,
     mut source: LiveSource,

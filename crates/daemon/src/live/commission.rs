@@ -17,7 +17,7 @@ const USUAL_CYCLES: usize = 50;
 
 /// Where a duty cycle's baselines are kept, and what is known of them.
 #[derive(Debug)]
-pub struct BaselineRecord {
+pub(super) struct BaselineRecord {
     path: PathBuf,
     file: BaselineFile,
     learn_cycles: usize,
@@ -30,7 +30,7 @@ pub struct BaselineRecord {
 impl BaselineRecord {
     /// What an earlier run has learned of the duty cycle of that index, or else what the configuration names. A file that cannot be
     /// used is told of and set aside.
-    pub fn open(folder: &Path, config: &AxisConfig, (index, monitor): (usize, &Monitor)) -> Self {
+    pub(super) fn open(folder: &Path, config: &AxisConfig, (index, monitor): (usize, &Monitor)) -> Self {
         let of_duty_cycle = monitor.name().map_or(String::new(), |name| format!("-{name}"));
         let path = folder.join("axes").join(&config.axis).join(format!("baseline{of_duty_cycle}.json"));
         let model = monitor.model();
@@ -70,12 +70,12 @@ impl BaselineRecord {
     }
 
     /// Whether a new baseline is being learned in the place of an older one.
-    pub fn is_renewing(&self) -> bool {
+    pub(super) fn is_renewing(&self) -> bool {
         self.renewing
     }
 
     /// Sets a monitor on its way as an earlier run left it: with the newest baseline, or to learn one.
-    pub fn commission(&mut self, monitor: &mut Monitor, state: DutyCycleState) {
+    pub(super) fn commission(&mut self, monitor: &mut Monitor, state: DutyCycleState) {
         match self.file.newest() {
             _ if state.renewing => self.renew(monitor),
             Some(baseline) => {
@@ -91,7 +91,7 @@ impl BaselineRecord {
     }
 
     /// Learns a new baseline from the next cycles; the older ones stay in the record. Nothing changes where the model cannot compare.
-    pub fn renew(&mut self, monitor: &mut Monitor) {
+    pub(super) fn renew(&mut self, monitor: &mut Monitor) {
         let cycles = if self.learn_cycles > 0 { self.learn_cycles } else { USUAL_CYCLES };
         match monitor.learn("seal replaced", cycles) {
             Ok(()) => self.renewing = true,
@@ -104,7 +104,7 @@ impl BaselineRecord {
     ///
     /// # Errors
     /// Writing failed; it counts until the daemon ends.
-    pub fn keep(&mut self, monitor: &Monitor) -> io::Result<()> {
+    pub(super) fn keep(&mut self, monitor: &Monitor) -> io::Result<()> {
         if let Some(baseline) = monitor.baseline().filter(|baseline| self.file.newest() != Some(baseline)) {
             self.file.baselines.push(baseline.clone());
             self.unsaved = true;

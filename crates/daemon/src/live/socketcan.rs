@@ -72,7 +72,7 @@ impl CanSource {
     }
 
     /// Waits for frames and appends the samples that they complete.
-    pub async fn read(&mut self, samples: &mut Vec<Sample>) -> Input {
+    pub(super) async fn read(&mut self, samples: &mut Vec<Sample>) -> Input {
         if self.port.is_none() {
             match FramePort::open(&self.place, &self.decoder, self.receive_buffer_bytes) {
                 Ok(port) => {

@@ -17,7 +17,7 @@ use crate::sink::plain::one_line;
 
 /// What a source says when it is asked.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Input {
+pub(super) enum Input {
     /// There are samples.
     Samples,
     /// Nothing came for a while.
@@ -29,7 +29,7 @@ pub enum Input {
 }
 
 /// A source of the daemon.
-pub enum LiveSource {
+pub(super) enum LiveSource {
     /// A bus.
     Can(Box<CanSource>),
     /// A log.
@@ -41,7 +41,7 @@ impl LiveSource {
     ///
     /// # Errors
     /// [`Failure`] where there is neither a bus nor a log, the log is a file that cannot be read, or the mapping fits neither.
-    pub fn open(config: &AxisConfig, rate_hz: f64, clock: Clock) -> Result<Self, Failure> {
+    pub(super) fn open(config: &AxisConfig, rate_hz: f64, clock: Clock) -> Result<Self, Failure> {
         match (&config.source.can, &config.source.log) {
             (Some(_), _) => Ok(LiveSource::Can(Box::new(CanSource::new(config, rate_hz, clock)?))),
             (None, Some(log)) => Ok(LiveSource::Log(Box::new(PlayedLog::open(log, config, clock)?))),
@@ -56,7 +56,7 @@ impl LiveSource {
     }
 
     /// Waits for input and appends what came to `samples`. May be dropped at any await without loss.
-    pub async fn read(&mut self, samples: &mut Vec<Sample>) -> Input {
+    pub(super) async fn read(&mut self, samples: &mut Vec<Sample>) -> Input {
         match self {
             LiveSource::Can(can) => can.read(samples).await,
             LiveSource::Log(log) => log.read(samples).await,
@@ -64,7 +64,7 @@ impl LiveSource {
     }
 
     /// Condition and counts.
-    pub fn health(&self) -> SourceHealth {
+    pub(super) fn health(&self) -> SourceHealth {
         match self {
             LiveSource::Can(can) => can.health(),
             LiveSource::Log(log) => log.health.clone(),
@@ -85,7 +85,7 @@ enum Portion {
 }
 
 /// A log that a thread reads, given out at its own pace or as fast as it is read.
-pub struct PlayedLog {
+pub(super) struct PlayedLog {
     portions: mpsc::Receiver<Portion>,
     /// Read, and not yet due.
     ahead: std::vec::IntoIter<Sample>,

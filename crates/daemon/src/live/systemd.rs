@@ -7,22 +7,22 @@ use std::time::Duration;
 use sd_notify::NotifyState;
 
 /// Tells the service manager, if there is one.
-pub fn tell(states: &[NotifyState<'_>]) {
+pub(super) fn tell(states: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(states) {
         tracing::warn!("the service manager cannot be told: {error}");
     }
 }
 
 /// A text as it may stand in a message to the service manager, in which a line break would begin another assignment.
-pub fn one_line(text: &str) -> String {
+pub(super) fn one_line(text: &str) -> String {
     text.replace(char::is_control, " ")
 }
 
 /// Progress of an axis whose log has ended: there is nothing left to do, and nothing to starve for.
-pub const ENDED: u64 = u64::MAX;
+pub(super) const ENDED: u64 = u64::MAX;
 
 /// The watchdog: it is fed only where every axis has worked through its input since the last time.
-pub struct Watchdog {
+pub(super) struct Watchdog {
     axes: Vec<(Arc<AtomicU64>, u64)>,
     /// How often it looks; `None` without a watchdog.
     pub every: Option<Duration>,
@@ -30,18 +30,18 @@ pub struct Watchdog {
 
 impl Watchdog {
     /// Reads what the service manager asks for.
-    pub fn new() -> Self {
+    pub(super) fn new() -> Self {
         let every = sd_notify::watchdog_enabled().map(|limit| (limit / 4).max(Duration::from_millis(50)));
         Watchdog { axes: Vec::new(), every }
     }
 
     /// The axes that are to be watched from now on.
-    pub fn watch(&mut self, axes: Vec<Arc<AtomicU64>>) {
+    pub(super) fn watch(&mut self, axes: Vec<Arc<AtomicU64>>) {
         self.axes = axes.into_iter().map(|progress| (progress, ENDED)).collect();
     }
 
     /// Whether every axis has made progress since the last time that all had.
-    pub fn all_progressed(&mut self) -> bool {
+    pub(super) fn all_progressed(&mut self) -> bool {
         let all = self.axes.iter().all(|(progress, before)| {
             let now = progress.load(Ordering::Relaxed);
             now == ENDED || now != *before
@@ -55,7 +55,7 @@ impl Watchdog {
     }
 
     /// Feeds it if it may be fed.
-    pub fn feed(&mut self) {
+    pub(super) fn feed(&mut self) {
         if self.all_progressed() {
             tell(&[NotifyState::Watchdog]);
         }
