@@ -123,7 +123,7 @@ impl Channels {
         let decoder = Decoder::new(encoding, schema)
             .map_err(|what| LogError::data(&self.log, format!("topic {topic} {what}")))?;
         let fields = FieldTree::of(mappings.iter().map(|mapping| (mapping.0, &mapping.1)))
-            .map_err(|what| LogError::mapping(what))?;
+            .map_err(LogError::mapping)?;
         let has_command = fields.wants_command();
         self.mapped.insert(*id, MappedChannel { decoder, fields, has_command });
         Ok(())

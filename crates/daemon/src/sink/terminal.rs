@@ -141,7 +141,7 @@ pub fn write_summary(out: &mut impl Write, summary: &Summary, colour: Colour) ->
     }
     match summary.reason {
         Some(UNCONFIRMED) => {
-            write!(out, "; too few estimates in a row lie above a threshold to raise a flag")?
+            write!(out, "; too few estimates in a row lie above a threshold to raise a flag")?;
         }
         Some(reason) => write!(out, "; no estimate: {}", words(reason))?,
         None => {}
