@@ -1,7 +1,7 @@
 //! The live daemon: axes from their sources to the sinks, started, reloaded, watched and stopped as a service.
 //!
 //! One thread runs all of it but the disks: each axis is a task that reads its source and pushes into its pipeline, each
-//! sink a task that hears the [`hub`]. Nothing but the hub knows both sides.
+//! sink a task that hears the [`Hub`]. Nothing but the hub knows both sides.
 
 mod axis;
 mod commission;
