@@ -19,7 +19,7 @@ const LEAST_RANGE: f64 = 200.0;
 /// Rates at which controllers send commands, Hz.
 const RATES_HZ: std::ops::RangeInclusive<f64> = 50.0..=5000.0;
 
-/// See the [module](self).
+/// What was heard on a bus: identifiers, rates, bits that change, and a field that behaves like a valve command.
 pub struct BusSurvey<'d> {
     dbc: Option<&'d Dbc>,
     topics: BTreeMap<(Vec<u8>, Identifier), IdentifierSurvey>,

@@ -15,7 +15,7 @@ pub(super) const LONGEST_LINE: u64 = 4096;
 /// Frames after which stamps that share one second are no coincidence.
 const STAMPS_LOOKED_AT: u64 = 200;
 
-/// See the [module](self).
+/// Samples from a CAN log in the format of `candump -l`.
 pub struct CandumpSource<R> {
     name: String,
     lines: Lines<R>,

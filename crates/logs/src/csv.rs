@@ -27,7 +27,7 @@ struct Columns {
     signals: Vec<Column>,
 }
 
-/// See the [module](self).
+/// Samples from a CSV with a header row.
 pub struct CsvSource<R> {
     name: String,
     rows: Rows<R>,

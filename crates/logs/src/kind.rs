@@ -48,7 +48,7 @@ const CONVERT_CAN: &str = "convert it to the format of `candump -l`, or to CSV o
 const UNPACK: &str = "unpack it first";
 
 impl LogKind {
-    /// Tells a log's kind by its head of up to [`HEAD_BYTES`].
+    /// Tells a log's kind by its first bytes, of which 512 are enough.
     ///
     /// # Errors
     /// [`LogError`] for kinds that are not read, by name where it is known.

@@ -15,7 +15,7 @@ use crate::mapping::SignalMapping;
 /// Message header: channel, sequence, log time, publish time.
 pub(crate) const MESSAGE_HEADER_BYTES: usize = 2 + 4 + 8 + 8;
 
-/// See the [module](self).
+/// Samples from an MCAP log: JSON, protobuf or CDR messages, one signal a message or many.
 pub struct McapSource<R> {
     name: String,
     file: McapFile<R>,
