@@ -97,7 +97,10 @@ fn command_and_position_alone_do_for_a_dead_band() {
     simulate(&log, &["--cycles", "12", "--with", "valve_deadband.half_width=0.03"]);
     let config = folder.path().join("seepd.toml");
     fs::write(&config, "[signals.command]\n[signals.position]\n[signals.demand]\n").unwrap();
-    let found = diagnose(&log, &["--config", text_of(&config)]);
+    let page = folder.path().join("gap.html");
+    let found = diagnose(&log, &["--config", text_of(&config), "--html", text_of(&page)]);
+    let page = fs::read_to_string(&page).unwrap();
+    assert!(page.contains("<h2>About the log</h2>") && page.contains("the log has no load"), "{page}");
     assert_consistent(&found);
     assert_eq!(found["signals"].as_array().unwrap().len(), 2);
     assert_eq!((&found["verdict"], &found["chosen"][0]), (&"effect".into(), &"valve_deadband".into()));

@@ -6,6 +6,7 @@ use maud::{Markup, html};
 use seepd_gap::Diagnosis;
 use seepd_gap::report::RankedEffect;
 use seepd_monitor::event::LPM_PER_M3_PER_S;
+use seepd_monitor::pipeline::REFERENCE_DP_PA;
 use seepd_signals::Signal;
 use seepd_sim::PlantParameters;
 
@@ -25,8 +26,6 @@ pub struct GapPage<'a> {
     pub plant: Option<&'a PlantParameters>,
 }
 
-/// Pressure difference at which leaks are given as flows, Pa.
-pub(crate) const REFERENCE_DP_PA: f64 = 7e6;
 /// Share of the cycle from which a phase's name has room in a plot.
 const SPAN_WITH_ROOM: f64 = 0.08;
 
@@ -66,7 +65,7 @@ impl GapPage<'_> {
                 ul { @for line in &found.distinguish { li { (line) } } }
             }
             @if !found.notes.is_empty() {
-                h2 { "EffectInfo the log" }
+                h2 { "About the log" }
                 ul { @for line in &found.notes { li { (line) } } }
             }
         };
