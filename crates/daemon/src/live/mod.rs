@@ -416,8 +416,13 @@ fn monotonic() -> NotifyState<'static> {
 
 async fn end_axis(axis: RunningAxis) {
     axis.stop.send_replace(true);
-    let abort = axis.task.abort_handle();
-    if timeout(ENDING, axis.task).await.is_err() {
+    end_task(axis.task).await;
+}
+
+/// Waits for a task that was told to end, and ends it where it does not.
+async fn end_task<T>(task: JoinHandle<T>) {
+    let abort = task.abort_handle();
+    if timeout(ENDING, task).await.is_err() {
         abort.abort();
     }
 }

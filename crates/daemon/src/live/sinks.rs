@@ -10,7 +10,7 @@ use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 
 use super::stamps::{Stamps, stamps};
-use super::{Daemon, ENDING, RETRY_DISK};
+use super::{Daemon, ENDING, RETRY_DISK, end_task};
 use crate::config::{CanOutConfig, DaemonConfig, HttpConfig, MqttConfig, RecordingConfig};
 use crate::failure::Failure;
 use crate::hub::Hub;
@@ -178,12 +178,7 @@ impl RunningSink {
     pub(super) async fn end(self) {
         self.stop.send_replace(true);
         match self.task {
-            Ending::Task(task) => {
-                let abort = task.abort_handle();
-                if timeout(ENDING, task).await.is_err() {
-                    abort.abort();
-                }
-            }
+            Ending::Task(task) => end_task(task).await,
             Ending::Thread(recorder, thread) => {
                 let end = tokio::task::spawn_blocking(move || {
                     recorder.stop();
