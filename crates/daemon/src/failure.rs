@@ -29,6 +29,13 @@ pub enum Code {
     Configuration = 78,
 }
 
+impl Code {
+    /// Of a file that could not be opened or read.
+    fn of_reading(error: &io::Error) -> Self {
+        if error.kind() == io::ErrorKind::NotFound { Code::NoInput } else { Code::Io }
+    }
+}
+
 /// Why the program ends early: one line for a person, one code for a program.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Failure {
@@ -51,8 +58,7 @@ impl Failure {
 
     /// A file that could not be opened or read.
     pub fn reading(path: &Path, error: &io::Error) -> Self {
-        let code = if error.kind() == io::ErrorKind::NotFound { Code::NoInput } else { Code::Io };
-        Failure::new(code, format!("{}: {error}", path.display()))
+        Failure::new(Code::of_reading(error), format!("{}: {error}", path.display()))
     }
 
     /// A file that could not be written.
@@ -77,8 +83,7 @@ impl From<LogError> for Failure {
     /// A log that is not there is no input, a mapping that fits nothing a fault of the configuration.
     fn from(error: LogError) -> Self {
         let code = match &error {
-            LogError::Reading { error, .. } if error.kind() == io::ErrorKind::NotFound => Code::NoInput,
-            LogError::Reading { .. } => Code::Io,
+            LogError::Reading { error, .. } => Code::of_reading(error),
             LogError::Folder { .. } => Code::NoInput,
             LogError::Dbc { .. } | LogError::Mapping { .. } => Code::Configuration,
             _ => Code::Data,

@@ -5,8 +5,8 @@ mod sinks;
 
 use std::path::{Path, PathBuf};
 
-use seepd_settings::{parse_toml_parts, side_file};
-use serde::{Deserialize, Serialize};
+use seepd_settings::{FormatError, parse_toml_parts, side_file};
+use serde::Deserialize;
 
 use crate::failure::Failure;
 
@@ -27,7 +27,7 @@ pub struct DaemonConfig {
 }
 
 /// What stands at the file's top beside an axis's own keys and the sinks' tables.
-#[derive(Debug, Default, Serialize, Deserialize)]
+#[derive(Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 struct TopKeys {
     axes: Vec<AxisConfig>,
@@ -63,11 +63,11 @@ impl DaemonConfig {
     }
 
     fn parse_unchecked(text: &str) -> Result<Self, String> {
-        let mut parts = parse_toml_parts(text).map_err(|error| error.to_string())?;
-        let keys: TopKeys = parts.take(&["axes", "state_dir"]).map_err(|error| error.to_string())?;
-        let sinks =
-            parts.take(&["http", "mqtt", "can_out", "recording"]).map_err(|error| error.to_string())?;
-        let top: AxisConfig = parts.take_rest().map_err(|error| error.to_string())?;
+        let line = |error: FormatError| error.to_string();
+        let mut parts = parse_toml_parts(text).map_err(line)?;
+        let keys: TopKeys = parts.take(&["axes", "state_dir"]).map_err(line)?;
+        let sinks = parts.take(SinksConfig::KEYS).map_err(line)?;
+        let top: AxisConfig = parts.take_rest().map_err(line)?;
         let TopKeys { axes, state_dir } = keys;
         if axes.is_empty() {
             return Ok(DaemonConfig { axes: vec![top], sinks, state_dir });

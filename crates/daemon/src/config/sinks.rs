@@ -341,6 +341,9 @@ fn credential(folder: &Path) -> impl Fn(&mut PathBuf) {
 }
 
 impl SinksConfig {
+    /// The tables' names: every field.
+    pub(super) const KEYS: &[&'static str] = &["http", "mqtt", "can_out", "recording"];
+
     /// Checks the tables beside the axes that they tell of.
     ///
     /// # Errors
