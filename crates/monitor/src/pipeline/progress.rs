@@ -22,7 +22,7 @@ const UNLIKE_BASELINE: &str = "unlike_baseline";
 const UNLIKE_TRAINING: &str = "unlike_training";
 /// Estimates whose median is the summary's.
 const RECENT: usize = 9;
-/// Cycles in a row that are unlike the baseline or training before a person is announced.
+/// Cycles in a row that are unlike the baseline or training before a person is told.
 const UNLIKE_CYCLES: u32 = 5;
 
 /// What the pipeline remembers between cycles.
