@@ -11,11 +11,12 @@ use seepd_monitor::baseline::{Baseline, CusumFinding};
 use seepd_monitor::event::Event;
 use seepd_monitor::pipeline::{MonitorConfig, Pipeline};
 use seepd_signals::{Sample, Signal};
+use seepd_sim::MachineSpec;
 use seepd_sim::batch::{Job, run_lanes};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
-use seepd_sim::{MachineSpec, series};
+use seepd_sim::series::{self, Tolerances};
 
 const NOISE: f64 = 0.003;
 const BASELINE_CYCLES: usize = 50;
@@ -35,7 +36,7 @@ struct Day {
 /// A machine of the series: its plant, and its load over plan.
 fn machine(number: u64) -> (MachineSpec, f64) {
     let mut noise = Noise::new(7_000 + number, 0);
-    let spec = series::vary(&MachineSpec::default(), 0.10, &mut noise);
+    let spec = series::vary(&MachineSpec::default(), &Tolerances::even(0.10), &mut noise);
     (spec, noise.factor(0.10))
 }
 

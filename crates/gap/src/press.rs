@@ -139,6 +139,7 @@ impl SimulatedAxis for MachineSpec {
                 return f64::NAN;
             }
             let braking = c.kd * (x - before) / c.period_s;
+            let u = c.uncompensated(*u);
             let error = (u - integral + braking) / (c.kp + c.ki * c.period_s).max(f64::MIN_POSITIVE);
             integral += c.ki * c.period_s * error;
             before = *x;

@@ -17,15 +17,63 @@ pub struct Controller {
     /// Derivative gain on the measured position, s/m.
     #[serde(alias = "Kd")]
     pub kd: f64,
+    /// Velocity feed-forward: command per speed of the demand, s/m.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub velocity_feed_forward_s_per_m: f64,
+    /// Jump of the command over the valve's dead band, share of full command.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub dead_band_compensation: f64,
     /// Period, s.
     pub period_s: f64,
+    /// Periods from one command in the log to the next.
+    #[serde(skip_serializing_if = "is_one")]
+    pub log_every: usize,
     /// RK4 steps of the plant in a period.
     pub steps_per_period: usize,
 }
 
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
+fn is_one(value: &usize) -> bool {
+    *value == 1
+}
+
+/// Command, before the jump, at which the compensation of the dead band is whole, share of full command: below it, it is a steep line, so that
+/// the command does not chatter at rest.
+const COMPENSATED_FROM: f64 = 0.003;
+
 impl Default for Controller {
     fn default() -> Self {
-        Controller { kp: 12.0, ki: 15.0, kd: 0.0, period_s: 1e-3, steps_per_period: 10 }
+        Controller {
+            kp: 12.0,
+            ki: 15.0,
+            kd: 0.0,
+            velocity_feed_forward_s_per_m: 0.0,
+            dead_band_compensation: 0.0,
+            period_s: 1e-3,
+            log_every: 1,
+            steps_per_period: 10,
+        }
+    }
+}
+
+impl Controller {
+    /// Time from one command in the log to the next, s.
+    pub fn log_period_s(&self) -> f64 {
+        self.period_s * self.log_every as f64
+    }
+
+    /// What the control law gave before the jump over the dead band.
+    pub fn uncompensated(&self, command: f64) -> f64 {
+        let steep = self.dead_band_compensation / COMPENSATED_FROM;
+        let small = command / (1.0 + steep);
+        if small.abs() < COMPENSATED_FROM {
+            small
+        } else {
+            command - self.dead_band_compensation.copysign(command)
+        }
     }
 }
 
@@ -35,6 +83,11 @@ pub(crate) struct Pid<T> {
     pub(crate) kp: T,
     pub(crate) ki_period: T,
     pub(crate) kd_per_period: T,
+    /// Command per step of the demand, 1/m.
+    feed_forward_per_period: T,
+    dead_band_compensation: T,
+    /// Whether there is any of the two in any lane.
+    is_extended: bool,
 }
 
 /// What the controller remembers from tick to tick.
@@ -44,6 +97,8 @@ pub(crate) struct PidState<T> {
     integral: T,
     /// Position at the last tick, m.
     position: T,
+    /// Demand at the last tick, m.
+    demand: T,
 }
 
 impl<T: Real> Pid<T> {
@@ -55,11 +110,16 @@ impl<T: Real> Pid<T> {
             kp: each(&|c| c.kp),
             ki_period: each(&|c| c.ki * c.period_s),
             kd_per_period: each(&|c| c.kd / c.period_s),
+            feed_forward_per_period: each(&|c| c.velocity_feed_forward_s_per_m / c.period_s),
+            dead_band_compensation: each(&|c| c.dead_band_compensation),
+            is_extended: machines
+                .iter()
+                .any(|c| c.velocity_feed_forward_s_per_m != 0.0 || c.dead_band_compensation != 0.0),
         }
     }
 
     pub(crate) fn start(&self, position: T) -> PidState<T> {
-        PidState { integral: T::splat(0.0), position }
+        PidState { integral: T::splat(0.0), position, demand: position }
     }
 
     /// One tick: the command in shares of full command. The integrator stands while the output is saturated
@@ -70,13 +130,52 @@ impl<T: Real> Pid<T> {
         let e = demand - position;
         let increment = self.ki_period * e;
         let integrated = state.integral + increment;
-        let others = self.kp * e - self.kd_per_period * (position - state.position);
+        let mut others = self.kp * e - self.kd_per_period * (position - state.position);
+        if self.is_extended {
+            others = others + self.feed_forward_per_period * (demand - state.demand);
+            state.demand = demand;
+        }
         let u = others + integrated;
         // Saturated, and with the error's sign: |u| > 1 and u e > 0.
         let driven_further =
             (u.abs() - one).where_positive((u * e).where_positive(one, T::splat(0.0)), T::splat(0.0));
         state.integral = driven_further.where_positive(state.integral, integrated);
         state.position = position;
-        (others + state.integral).max(-one).min(one)
+        let output = others + state.integral;
+        let jump = if self.is_extended { self.jump(output) } else { T::splat(0.0) };
+        (output + jump).max(-one).min(one)
+    }
+
+    /// What the compensation of the dead band adds.
+    #[inline(always)]
+    fn jump(&self, output: T) -> T {
+        let one = T::splat(1.0);
+        self.dead_band_compensation * (output * T::splat(1.0 / COMPENSATED_FROM)).max(-one).min(one)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn feed_forward_and_the_jump_over_the_dead_band_add_to_the_command() {
+        let controller = Controller {
+            kp: 2.0,
+            ki: 0.0,
+            velocity_feed_forward_s_per_m: 0.5,
+            dead_band_compensation: 0.04,
+            ..Controller::default()
+        };
+        let pid = Pid::<f64>::new(&[&controller]);
+        let mut state = pid.start(0.1);
+        // 2 mm in a tick of 1 ms are 2 m/s: 0.5 · 2 = 1 would saturate; 0.2 mm make 0.1, and the error 4e-4.
+        let command = pid.tick(&mut state, 0.1002, 0.1);
+        assert!((command - (0.1 + 4e-4 + 0.04)).abs() < 1e-12, "{command}");
+        assert!((controller.uncompensated(command) - 0.1004).abs() < 1e-12);
+        // At rest a small error is not made a jump.
+        let command = pid.tick(&mut state, 0.1002, 0.1002 - 1e-4);
+        assert!((command - (2e-4 + 0.04 * 2e-4 / 0.003)).abs() < 1e-12, "{command}");
+        assert!((controller.uncompensated(command) - 2e-4).abs() < 1e-12);
     }
 }

@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-/// A quintic move of the demand to a new position.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// A move of the demand to a new position: quintic, or of a course of its own.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Move {
     /// Name of the stroke in reports and features.
@@ -14,6 +14,33 @@ pub struct Move {
     pub to_s: f64,
     /// Position reached, m.
     pub to_m: f64,
+    /// Share of the way at equal steps of time, from 0 to 1, linear between them; empty: the quintic.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub course: Vec<f64>,
+}
+
+impl Move {
+    /// Share of the way at a share of the time.
+    fn progress(&self, tau: f64) -> f64 {
+        let tau = tau.clamp(0.0, 1.0);
+        let Some(steps) = self.course.len().checked_sub(1).filter(|steps| *steps > 0) else {
+            return quintic(tau);
+        };
+        let place = tau * steps as f64;
+        let before = (place as usize).min(steps - 1);
+        let (from, to) = (self.course[before], self.course[before + 1]);
+        from + (to - from) * (place - before as f64)
+    }
+
+    /// Share of the time at which half of the way is first behind it.
+    pub fn half_way(&self) -> f64 {
+        let Some(after) = self.course.iter().position(|share| *share >= 0.5).filter(|after| *after > 0)
+        else {
+            return 0.5;
+        };
+        let (from, to) = (self.course[after - 1], self.course[after]);
+        (after as f64 - (to - 0.5) / (to - from)) / (self.course.len() - 1) as f64
+    }
 }
 
 /// A corner of the piecewise linear load.
@@ -41,7 +68,13 @@ pub struct DutyCycle {
 
 impl Default for DutyCycle {
     fn default() -> Self {
-        let stroke = |name: &str, from_s, to_s, to_m| Move { name: name.into(), from_s, to_s, to_m };
+        let stroke = |name: &str, from_s, to_s, to_m| Move {
+            name: name.into(),
+            from_s,
+            to_s,
+            to_m,
+            course: Vec::new(),
+        };
         let corner = |at_s, force_n| LoadCorner { at_s, force_n };
         DutyCycle {
             period_s: 10.0,
@@ -80,8 +113,8 @@ impl DutyCycle {
             if at_s < stroke.from_s {
                 break;
             }
-            let tau = ((at_s - stroke.from_s) / (stroke.to_s - stroke.from_s)).min(1.0);
-            position += (stroke.to_m - position) * quintic(tau);
+            position += (stroke.to_m - position)
+                * stroke.progress((at_s - stroke.from_s) / (stroke.to_s - stroke.from_s));
         }
         position
     }
@@ -215,5 +248,25 @@ impl Iterator for Schedule {
             load_end_n,
             leak_area_m2: of.leak_area_m2,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_move_follows_its_course() {
+        let mut cycle = DutyCycle::default();
+        cycle.moves[0].course = vec![0.0, 0.25, 0.75, 1.0];
+        // A third of the time has passed at the second number; between numbers the way is linear.
+        let third_s = 2.0 / 3.0;
+        assert!((cycle.demand_m(0.5 + third_s) - (0.10 + 0.25 * 0.25)).abs() < 1e-12);
+        assert!((cycle.demand_m(0.5 + 1.5 * third_s) - (0.10 + 0.25 * 0.5)).abs() < 1e-12);
+        assert_eq!(cycle.demand_m(2.6), 0.35);
+        assert_eq!(cycle.moves[0].half_way(), 0.5);
+        cycle.moves[0].course = vec![0.0, 0.5, 1.0, 1.0];
+        assert!((cycle.moves[0].half_way() - 1.0 / 3.0).abs() < 1e-12);
+        assert_eq!(cycle.moves[1].half_way(), 0.5);
     }
 }

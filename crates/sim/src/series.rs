@@ -1,5 +1,7 @@
 //! Machines of one series, and one machine from day to day.
 
+use std::collections::BTreeMap;
+
 use crate::effects::{Effect, ValveDeadband};
 use crate::noise::Noise;
 use crate::oil;
@@ -25,12 +27,28 @@ const VARIED: [&str; 15] = [
     "valve_rod_resistance_pa_s_per_m3",
 ];
 
-/// Another machine of the series: every parameter that differs is drawn uniformly within ± that share.
-pub fn vary(spec: &MachineSpec, share: f64, noise: &mut Noise) -> MachineSpec {
+/// How far the parameters of one machine may be from those of another.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tolerances {
+    /// Share to either side of every parameter that differs from machine to machine.
+    pub share: f64,
+    /// The share of single parameters, by key.
+    pub of: BTreeMap<String, f64>,
+}
+
+impl Tolerances {
+    /// The same share for all.
+    pub fn even(share: f64) -> Self {
+        Tolerances { share, of: BTreeMap::new() }
+    }
+}
+
+/// Another machine of the series: every parameter that differs is drawn uniformly within its tolerance.
+pub fn vary(spec: &MachineSpec, tolerances: &Tolerances, noise: &mut Noise) -> MachineSpec {
     let mut varied = spec.clone();
     for name in VARIED {
         if let Some(value) = varied.plant.get_mut(name) {
-            *value *= noise.factor(share);
+            *value *= noise.factor(tolerances.of.get(name).copied().unwrap_or(tolerances.share));
         }
     }
     varied

@@ -265,7 +265,10 @@ impl MachineSpec {
             ("kp", c.kp, 0.0, 1e6),
             ("ki", c.ki, 0.0, 1e6),
             ("kd", c.kd, 0.0, 1e6),
+            ("velocity_feed_forward_s_per_m", c.velocity_feed_forward_s_per_m, 0.0, 1e3),
+            ("dead_band_compensation", c.dead_band_compensation, 0.0, 0.5),
             ("period_s", c.period_s, 1e-5, 0.1),
+            ("log_every", c.log_every as f64, 1.0, 1000.0),
             ("steps_per_period", c.steps_per_period as f64, 1.0, 1000.0),
         ] {
             in_range(format!("controller.{key}"), value, low, high)?;
@@ -295,6 +298,7 @@ impl MachineSpec {
                 cycle.period_s,
             )?;
             in_range(format!("cycle.moves[{index}].to_m"), stroke.to_m, 0.0, self.plant.stroke_m)?;
+            check_course(index, &stroke.course)?;
             time = stroke.to_s;
         }
         let mut time = 0.0;
@@ -369,6 +373,17 @@ impl SpecError {
         }
         self
     }
+}
+
+/// Checks that a move's course leads from its start to its end.
+fn check_course(index: usize, course: &[f64]) -> Result<(), SpecError> {
+    let key = |at: usize| format!("cycle.moves[{index}].course[{at}]");
+    for (at, share) in course.iter().enumerate() {
+        in_range(key(at), *share, -0.5, 1.5)?;
+    }
+    let (Some(first), Some(last)) = (course.first(), course.last()) else { return Ok(()) };
+    in_range(key(0), *first, 0.0, 0.0)?;
+    in_range(key(course.len() - 1), *last, 1.0, 1.0)
 }
 
 /// A number without a row of noughts.

@@ -10,6 +10,7 @@ use seepd_sim::cycle::CycleRun;
 use seepd_sim::electric::ElectricAxis;
 use seepd_sim::noise::Noise;
 use seepd_sim::oil::NOMINAL_TEMPERATURE_C;
+use seepd_sim::series::{self, Tolerances};
 use seepd_sim::{Input, Machine, MachineSpec, Schedule, SimulatedSignals};
 use serde::Serialize;
 
@@ -172,7 +173,7 @@ fn machine(arguments: &SimulateArguments) -> Result<MachineSpec, Failure> {
     let share = check("--parameter-spread", arguments.parameter_spread, 0.0, 0.3)?;
     if share > 0.0 {
         let mut noise = Noise::new(arguments.machine.unwrap_or(arguments.seed), MACHINES);
-        spec = seepd_sim::series::vary(&spec, share, &mut noise);
+        spec = series::vary(&spec, &Tolerances::even(share), &mut noise);
         spec.plant.load_scale *= noise.factor(share);
     }
     check("--supply-drift", arguments.supply_drift, -0.2, 0.2)?;
