@@ -106,7 +106,7 @@ pub(crate) fn compare(
         })
         .collect();
     let same = presses(spec, &areas, TEST_STREAM);
-    let mut series = dataset::draw(spec, Spread::default(), TESTED, seed, SERIES_PURPOSE);
+    let mut series = dataset::draw(spec, &Spread::default(), TESTED, seed, SERIES_PURPOSE);
     for (machine, area) in series.iter_mut().zip(&areas) {
         machine.leak_area_m2 = *area;
     }

@@ -2,6 +2,7 @@
 //! machine of the series.
 
 use seepd_sim::MachineSpec;
+use seepd_sim::series::Tolerances;
 use seepd_train::Spread;
 use seepd_train::dataset;
 use serde::Serialize;
@@ -52,9 +53,9 @@ pub(crate) fn measure(
     taught: &Taught,
     seed: u64,
 ) -> Result<Vec<Limit>, StudyError> {
-    let spread = Spread { parameters: SPREAD, load: SPREAD, ..Spread::default() };
+    let spread = Spread { parameters: Tolerances::even(SPREAD), load: SPREAD, ..Spread::default() };
     let read = |purpose, areas_m2: &[f64]| {
-        let mut machines = dataset::draw(spec, spread, areas_m2.len(), seed, purpose);
+        let mut machines = dataset::draw(spec, &spread, areas_m2.len(), seed, purpose);
         for (machine, area_m2) in machines.iter_mut().zip(areas_m2) {
             machine.leak_area_m2 = *area_m2;
         }

@@ -4,16 +4,19 @@ use seepd_features::statistics::CycleStatistics;
 use seepd_features::{CycleDefinition, CycleReader, Kalman, Outcome, Phase, Projections};
 use seepd_model::schema::Cycle;
 use seepd_signals::Sample;
+use seepd_sim::MachineSpec;
 use seepd_sim::batch::{self, Job};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
-use seepd_sim::{MachineSpec, series};
+use seepd_sim::series::{self, Tolerances};
+
+use crate::leak_range::LeakRange;
 
 /// How simulated machines differ from the plan.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Spread {
-    /// Plant parameters are drawn uniformly within ± this share.
-    pub parameters: f64,
+    /// Plant parameters are drawn uniformly within these.
+    pub parameters: Tolerances,
     /// The load is scaled within ± this share.
     pub load: f64,
     /// The duty cycle's time is scaled within ± this share.
@@ -22,7 +25,7 @@ pub struct Spread {
 
 impl Default for Spread {
     fn default() -> Self {
-        Spread { parameters: 0.05, load: 0.05, period: 0.03 }
+        Spread { parameters: Tolerances::even(0.05), load: 0.05, period: 0.03 }
     }
 }
 
@@ -41,13 +44,6 @@ pub struct Observation {
     pub stream: u64,
 }
 
-/// Smallest and largest leak of the main range, m² (the article's), and the smallest that is tried.
-pub const LEAK_RANGE_M2: (f64, f64) = (5e-8, 1e-5);
-const SMALLEST_LEAK_M2: f64 = 5e-9;
-/// Beyond the range's end, so that the trees do not end where estimates are still wanted.
-const OVERSHOOT: f64 = 1.3;
-/// Up to here the command does not stand at its end over whole strokes; it does from 2.3e-5 m² on, where no cycle is recognised.
-const LARGEST_LEAK_M2: f64 = 2.3e-5;
 /// Shares of observations without a leak and with one below the main range.
 const SHARE_HEALTHY: f64 = 0.06;
 const SHARE_SMALL: f64 = 0.18;
@@ -55,44 +51,25 @@ const SHARE_SMALL: f64 = 0.18;
 /// Draws machines; leak areas are stratified, so that the range is evenly covered at any number.
 ///
 /// `seed` and `purpose` pick the random stream; different purposes share no machine.
-pub fn draw(spec: &MachineSpec, spread: Spread, count: usize, seed: u64, purpose: u64) -> Vec<Observation> {
+pub fn draw(spec: &MachineSpec, spread: &Spread, count: usize, seed: u64, purpose: u64) -> Vec<Observation> {
+    let leaks = LeakRange::of(spec);
     (0..count)
         .map(|index| {
             let stream = purpose.wrapping_mul(1 << 32) + index as u64;
             let mut noise = Noise::new(seed, stream);
-            let varied = series::vary(spec, spread.parameters, &mut noise);
+            let varied = series::vary(spec, &spread.parameters, &mut noise);
             let load_factor = noise.factor(spread.load);
             let stretch = noise.factor(spread.period);
             let rank = (index as f64 + noise.uniform(0.0, 1.0)) / count as f64;
-            Observation { spec: varied, load_factor, stretch, leak_area_m2: leak_at(rank), stream }
+            Observation {
+                spec: varied,
+                load_factor,
+                stretch,
+                leak_area_m2: leaks.at_m2(rank, SHARE_HEALTHY, SHARE_SMALL),
+                stream,
+            }
         })
         .collect()
-}
-
-/// Leak area at a rank of 0 … 1 of the distribution.
-fn leak_at(rank: f64) -> f64 {
-    leak_of(rank, SHARE_HEALTHY, SHARE_SMALL)
-}
-
-/// Leak area at a rank of 0 … 1, with these shares of machines without a leak and with one below the main range.
-pub(crate) fn leak_of(rank: f64, healthy: f64, small: f64) -> f64 {
-    if rank < healthy {
-        0.0
-    } else if rank < healthy + small {
-        log_uniform((rank - healthy) / small, SMALLEST_LEAK_M2, LEAK_RANGE_M2.0)
-    } else {
-        let share = (rank - healthy - small) / (1.0 - healthy - small);
-        log_uniform(share, LEAK_RANGE_M2.0, LEAK_RANGE_M2.1 * OVERSHOOT)
-    }
-}
-
-/// Leak area at a rank of 0 … 1 beyond those that sizes are learned from: such a leak must not be taken for another fault.
-pub(crate) fn leak_beyond(rank: f64) -> f64 {
-    log_uniform(rank, LEAK_RANGE_M2.1 * OVERSHOOT, LARGEST_LEAK_M2)
-}
-
-fn log_uniform(share: f64, low: f64, high: f64) -> f64 {
-    low * libm::pow(high / low, share)
 }
 
 /// Ticks of the warm-up cycle that are recorded before the cycle of interest: the filter settles in them.
@@ -100,9 +77,10 @@ fn lead_ticks(spec: &MachineSpec) -> u64 {
     (0.1 * spec.cycle.period_s / spec.controller.period_s) as u64
 }
 
-/// Ticks of an observation's recording before the cycle of interest. The start varies by a bin, as it does in logs.
+/// Samples of an observation's recording before the cycle of interest. The start varies by a bin, as it does in logs.
 pub fn lead(observation: &Observation) -> usize {
-    (lead_ticks(&observation.spec) + observation.stream % 50) as usize
+    let log_every = observation.spec.controller.log_every as u64;
+    (lead_ticks(&observation.spec) / log_every + observation.stream % 50) as usize
 }
 
 /// Where in the warm-up cycle a machine begins, at rest, s: what it did before that has died away by the end of the cycle.
@@ -115,15 +93,15 @@ fn warm_up_from_s(spec: &MachineSpec) -> f64 {
 /// The warm-up is no shorter than the rest of the period after this share.
 const LATEST_WARM_UP: f64 = 0.6;
 
-/// Runs the machines over the end of a warm-up cycle and one cycle more, and hands each one's noiseless command to `reduce`
-/// with its index. The recording ends late enough for the last stroke to be confirmed.
+/// Runs the machines over the end of a warm-up cycle and one cycle more, and hands each one's noiseless command, as its log would have it, to
+/// `reduce` with its index. The recording ends late enough for the last stroke to be confirmed.
 pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[f64]) -> R + Sync) -> Vec<R> {
     let jobs: Vec<Job> = observations
         .iter()
         .map(|observation| {
             let planned_ticks = observation.spec.cycle.period_s / observation.spec.controller.period_s;
             let period_ticks = (planned_ticks * observation.stretch).round() as u64;
-            let lead = lead(observation) as u64;
+            let lead = (lead(observation) * observation.spec.controller.log_every) as u64;
             let run = CycleRun {
                 load_factor: observation.load_factor,
                 stretch: observation.stretch,
@@ -142,7 +120,14 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
             }
         })
         .collect();
-    batch::commands(&jobs, reduce)
+    batch::commands(&jobs, |index, commands| {
+        let log_every = observations[index].spec.controller.log_every;
+        if log_every == 1 {
+            return reduce(index, commands);
+        }
+        let logged: Vec<f64> = commands.iter().step_by(log_every).copied().collect();
+        reduce(index, &logged)
+    })
 }
 
 /// Noise of standard deviation 1 for so many samples: scaled, it serves every level.

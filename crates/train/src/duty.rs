@@ -21,7 +21,7 @@ const TOLERANCE: f64 = 0.06;
 /// The cycle without its templates, which only simulation can tell.
 pub(crate) fn cycle_of(spec: &MachineSpec) -> Result<Cycle, TrainError> {
     let cycle = &spec.cycle;
-    let samples = cycle.period_s / spec.controller.period_s;
+    let samples = cycle.period_s / spec.controller.log_period_s();
     let [first, last] = anchoring_moves(spec)?;
     let anchor = |index: usize| Anchor {
         end_s: cycle.moves[index].to_s + SHOULDER_SHARE * cycle.period_s,
@@ -76,8 +76,7 @@ fn demand_mark(spec: &MachineSpec, first: &Move) -> DemandMark {
     let before = spec.cycle.demand_m(first.from_s);
     DemandMark {
         level_m: 0.5 * (before + first.to_m),
-        // A quintic passes half of its way at half of its time.
-        at_s: 0.5 * (first.from_s + first.to_s),
+        at_s: first.from_s + first.half_way() * (first.to_s - first.from_s),
         rising: first.to_m > before,
     }
 }
@@ -113,6 +112,16 @@ fn phases_of(spec: &MachineSpec) -> Vec<PhaseFile> {
         time = stroke.to_s;
     }
     hold(time, cycle.period_s, &mut phases);
-    phases.truncate(MAX_PHASES);
+    keep_the_longest(&mut phases);
     phases
+}
+
+/// Leaves out the shortest phases where a cycle has more than a reader has room for.
+fn keep_the_longest(phases: &mut Vec<PhaseFile>) {
+    while phases.len() > MAX_PHASES {
+        let length = |phase: &PhaseFile| phase.to_s - phase.from_s;
+        let by_length = |a: &usize, b: &usize| length(&phases[*a]).total_cmp(&length(&phases[*b]));
+        let Some(shortest) = (0..phases.len()).min_by(by_length) else { return };
+        phases.remove(shortest);
+    }
 }

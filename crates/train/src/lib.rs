@@ -4,6 +4,7 @@ mod conformal;
 pub mod dataset;
 pub mod duty;
 pub mod forest;
+pub mod leak_range;
 mod linear;
 mod out_of_distribution;
 mod pca;

@@ -15,12 +15,14 @@ use seepd_model::schema::{
 use seepd_model::{Ensemble, ModelError, ModelFile};
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
+use seepd_sim::series::Tolerances;
 use seepd_sim::{MachineSpec, series};
 use serde::Serialize;
 
 use crate::conformal::{self, Prediction, significant};
 use crate::dataset::{self, Observation, Reading};
 use crate::forest::{Forest, ForestParams, Table};
+use crate::leak_range::LeakRange;
 use crate::linear;
 use crate::out_of_distribution;
 use crate::report::NOISE_LEVELS;
@@ -35,10 +37,12 @@ pub const BASELINE_MOMENTS: usize = 2;
 const MOMENTS: [f64; BASELINE_MOMENTS] = [0.211_324_865_405_187_1, 0.788_675_134_594_812_9];
 
 /// What changes on a machine, and from one machine to the next.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Conditions {
-    /// Plant parameters and load of a machine are drawn uniformly within ± this share.
-    pub parameters: f64,
+    /// Plant parameters of a machine are drawn uniformly within these.
+    pub parameters: Tolerances,
+    /// Load of a machine over the plan's, within ± this share.
+    pub machine_load: f64,
     /// The duty cycle's time on a machine, within ± this share.
     pub period: f64,
     /// Load of a cycle, within ± this share of the machine's.
@@ -54,7 +58,8 @@ pub struct Conditions {
 impl Default for Conditions {
     fn default() -> Self {
         Conditions {
-            parameters: 0.10,
+            parameters: Tolerances::even(0.10),
+            machine_load: 0.10,
             period: 0.03,
             load: 0.10,
             oil_c: (30.0, 60.0),
@@ -68,8 +73,8 @@ impl Conditions {
     /// A machine of the series.
     pub fn machine(&self, spec: &MachineSpec, noise: &mut Noise) -> Observation {
         let mut observation = Observation {
-            spec: series::vary(spec, self.parameters, noise),
-            load_factor: noise.factor(self.parameters),
+            spec: series::vary(spec, &self.parameters, noise),
+            load_factor: noise.factor(self.machine_load),
             stretch: noise.factor(self.period),
             leak_area_m2: 0.0,
             stream: 0,
@@ -107,8 +112,6 @@ const BEYOND_MACHINES: usize = 48;
 /// Shares of cycles without a leak and with one below the main range.
 const SHARE_HEALTHY: f64 = 0.25;
 const SHARE_SMALL: f64 = 0.25;
-/// Offset of the logarithm, m²: below it errors count absolutely.
-const OFFSET_M2: f64 = 2e-8;
 /// Regularisation of the leak residual, over the mean square of its terms.
 const RIDGE: f64 = 1e-7;
 /// The same of the dead band, whose terms are standardised.
@@ -126,9 +129,9 @@ const THRESHOLD: f64 = 10.0;
 /// Golden pairs in the file.
 const GOLDEN: usize = 6;
 
-/// Leak area at a rank of 0 … 1.
-fn leak_at(rank: f64) -> f64 {
-    dataset::leak_of(rank, SHARE_HEALTHY, SHARE_SMALL)
+/// Leak area at a rank of 0 … 1, m².
+fn leak_at(leaks: LeakRange, rank: f64) -> f64 {
+    leaks.at_m2(rank, SHARE_HEALTHY, SHARE_SMALL)
 }
 
 /// A cycle with the machine's baseline, both at each level of noise.
@@ -188,10 +191,11 @@ impl PairSimulator<'_> {
         cycles: usize,
         purpose: u64,
         levels: Levels<'_>,
-        leak_at: fn(f64) -> f64,
+        leak_at: fn(LeakRange, f64) -> f64,
         tell: &mut dyn FnMut(usize),
     ) -> Vec<Pair> {
         let per_machine = BASELINE_MOMENTS + cycles;
+        let leaks = LeakRange::of(self.spec);
         let mut pairs = Vec::with_capacity(machines * cycles);
         let portion = 256 / per_machine;
         for from in (0..machines).step_by(portion) {
@@ -202,7 +206,7 @@ impl PairSimulator<'_> {
                 let leak_of = |cycle: usize, within: f64| {
                     let rank = ((machine * cycles + cycle) as f64 + within) / (machines * cycles) as f64;
                     // Neighbouring machines have leaks far apart: a portion of machines is a sample of all.
-                    leak_at((rank * SCATTER).fract())
+                    leak_at(leaks, (rank * SCATTER).fract())
                 };
                 self.days_of((purpose << 32) + machine as u64, cycles, &leak_of, &mut |observation, load| {
                     observations.push(observation);
@@ -383,6 +387,8 @@ pub struct RelativeAccuracy {
 
 /// The polynomials of the leak residual.
 struct ResidualFit {
+    /// Offset of the logarithm, m²: below it errors count absolutely.
+    offset_m2: f64,
     baseline_mean: Vec<f64>,
     baseline_scale: Vec<f64>,
     /// Coefficients with the command alone, and with the load too.
@@ -390,13 +396,14 @@ struct ResidualFit {
 }
 
 impl ResidualFit {
-    fn of(pairs: &[Pair]) -> Option<Self> {
+    fn of(pairs: &[Pair], offset_m2: f64) -> Option<Self> {
         let (baseline_mean, baseline_scale) = spread_of_baselines(pairs);
         let mut coefficients = [Vec::new(), Vec::new()];
         for (knows_load, coefficients) in [false, true].into_iter().zip(&mut coefficients) {
-            *coefficients = fit_leak_residual(pairs, &baseline_mean, &baseline_scale, knows_load)?;
+            *coefficients =
+                fit_leak_residual(pairs, (&baseline_mean, &baseline_scale), knows_load, offset_m2)?;
         }
-        Some(ResidualFit { baseline_mean, baseline_scale, coefficients })
+        Some(ResidualFit { offset_m2, baseline_mean, baseline_scale, coefficients })
     }
 
     fn inputs(&self, comparison: &Comparison<'_>) -> Inputs {
@@ -415,12 +422,12 @@ impl ResidualFit {
         for knows_load in [false, true] {
             for pair in pairs {
                 let comparison = pair.comparison(0, knows_load);
-                let logarithm = log_leak_residual(self.leak_residual_m2(&comparison), OFFSET_M2);
+                let logarithm = log_leak_residual(self.leak_residual_m2(&comparison), self.offset_m2);
                 let inputs = self.inputs(&comparison).of_trees(logarithm);
                 for (column, value) in table.columns.iter_mut().zip(inputs) {
                     column.push(value);
                 }
-                table.target.push(libm::log(pair.leak_area_m2 + OFFSET_M2) - logarithm);
+                table.target.push(libm::log(pair.leak_area_m2 + self.offset_m2) - logarithm);
             }
         }
         Forest::grow(&table, FOREST_PARAMS, seed)
@@ -436,8 +443,8 @@ struct Learned {
 }
 
 impl Learned {
-    fn from(pairs: &[Pair], seed: u64) -> Option<Self> {
-        let residual = ResidualFit::of(pairs)?;
+    fn from(pairs: &[Pair], offset_m2: f64, seed: u64) -> Option<Self> {
+        let residual = ResidualFit::of(pairs, offset_m2)?;
         let deadband = fit_deadband(pairs, &residual.baseline_mean, &residual.baseline_scale)?;
         let trees = residual.grow(pairs, seed).trees;
         let ensemble = Ensemble::new(&trees, Inputs::tree_inputs(residual.baseline_mean.len())).ok()?;
@@ -446,9 +453,10 @@ impl Learned {
 
     fn predict(&self, pair: &Pair, level: usize, knows_load: bool) -> Prediction {
         let comparison = pair.comparison(level, knows_load);
-        let logarithm = log_leak_residual(self.residual.leak_residual_m2(&comparison), OFFSET_M2);
+        let logarithm =
+            log_leak_residual(self.residual.leak_residual_m2(&comparison), self.residual.offset_m2);
         let (mean, spread) = self.ensemble.vote(&self.residual.inputs(&comparison).of_trees(logarithm));
-        let truth = libm::log(pair.leak_area_m2 + OFFSET_M2);
+        let truth = libm::log(pair.leak_area_m2 + self.residual.offset_m2);
         Prediction { truth, mean: logarithm + mean, spread }
     }
 
@@ -476,7 +484,7 @@ impl Learned {
         let healthy = || pairs.iter().filter(|pair| pair.leak_area_m2 == 0.0);
         let estimates = healthy().flat_map(|pair| {
             (0..CALIBRATED_NOISE.len())
-                .map(|level| libm::exp(self.predict(pair, level, knows_load).mean) - OFFSET_M2)
+                .map(|level| libm::exp(self.predict(pair, level, knows_load).mean) - self.residual.offset_m2)
         });
         let calibration = conformal::calibration(&by_noise, estimates);
         let residuals =
@@ -554,7 +562,12 @@ fn fit_deadband(pairs: &[Pair], mean: &[f64], scale: &[f64]) -> Option<DeadbandF
 
 /// Ridge regression of the leak area on the leak residual's terms; errors count relative to area + offset. `None` where the terms are not
 /// finite.
-fn fit_leak_residual(pairs: &[Pair], mean: &[f64], scale: &[f64], knows_load: bool) -> Option<Vec<f64>> {
+fn fit_leak_residual(
+    pairs: &[Pair],
+    (mean, scale): (&[f64], &[f64]),
+    knows_load: bool,
+    offset_m2: f64,
+) -> Option<Vec<f64>> {
     let terms = Inputs::terms(mean.len(), knows_load);
     let rows: Vec<Vec<f64>> = pairs
         .iter()
@@ -572,7 +585,7 @@ fn fit_leak_residual(pairs: &[Pair], mean: &[f64], scale: &[f64], knows_load: bo
     let mut right = vec![0.0; terms];
     let mut weights = 0.0;
     for (row, pair) in rows.iter().zip(pairs) {
-        let weight = (pair.leak_area_m2 + OFFSET_M2).powi(-2);
+        let weight = (pair.leak_area_m2 + offset_m2).powi(-2);
         weights += weight;
         let scaled: Vec<f64> = row.iter().zip(&size).map(|(term, size)| term / size).collect();
         for i in 0..terms {
@@ -615,7 +628,8 @@ pub(crate) fn learn(
         leak_at,
         &mut |done| tell(done, all),
     );
-    let mut learned = Learned::from(&pairs, settings.seed)?;
+    let offset_m2 = LeakRange::of(spec).offset_m2();
+    let mut learned = Learned::from(&pairs, offset_m2, settings.seed)?;
     let mut levels = CALIBRATED_NOISE.to_vec();
     levels.push(0.0);
     let others = simulator.pairs(
@@ -631,12 +645,12 @@ pub(crate) fn learn(
         1,
         purpose::BEYOND,
         Levels::Drawn(settings.noise),
-        dataset::leak_beyond,
+        LeakRange::beyond_m2,
         &mut |_| (),
     );
     learned.limit_deadband(&others);
     let mut file = RelativeFile {
-        offset_m2: OFFSET_M2,
+        offset_m2,
         command: learned.view(&others, false),
         load: learned.view(&others, true),
         training_distributions: learned.distributions([&pairs, &beyond], &others)?,
@@ -704,6 +718,7 @@ pub(crate) fn measure(
             tell(done, settings.tested_on);
         },
     );
+    let smallest_m2 = LeakRange::of(spec).main_m2().0;
     let accuracy = |knows_load: bool| -> Vec<RelativeAccuracy> {
         (0..NOISE_LEVELS.len())
             .map(|level| {
@@ -711,7 +726,7 @@ pub(crate) fn measure(
                     .iter()
                     .map(|pair| (pair.leak_area_m2, relative.estimate(&pair.comparison(level, knows_load))))
                     .collect();
-                accuracy_of(NOISE_LEVELS[level], &results, one_lpm_m2(file))
+                accuracy_of(NOISE_LEVELS[level], &results, (one_lpm_m2(file), smallest_m2))
             })
             .collect()
     };
@@ -726,7 +741,7 @@ pub(crate) fn measure(
 fn accuracy_of(
     noise: f64,
     results: &[(f64, seepd_model::RelativeEstimate)],
-    one_lpm_m2: f64,
+    (one_lpm_m2, smallest_m2): (f64, f64),
 ) -> RelativeAccuracy {
     let cases: Vec<Judged> =
         results.iter().map(|(truth, given)| Judged::new(*truth, &given.estimate)).collect();
@@ -737,7 +752,7 @@ fn accuracy_of(
     RelativeAccuracy {
         noise,
         median_error_above_1_lpm: median_relative_error(large),
-        coverage: coverage(cases.iter().filter(|case| case.truth_m2 >= dataset::LEAK_RANGE_M2.0)),
+        coverage: coverage(cases.iter().filter(|case| case.truth_m2 >= smallest_m2)),
         decades: decades(&cases),
         healthy_deviation_m2: (healthy.iter().map(|e| e.leak_residual_m2.powi(2)).sum::<f64>() / count)
             .sqrt(),

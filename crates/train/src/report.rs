@@ -3,14 +3,13 @@
 use rayon::prelude::*;
 use seepd_features::Kalman;
 use seepd_model::Model;
-use seepd_model::accuracy::{
-    Decade, Judged, coverage, decades, in_main_range, mean_absolute_error, r_squared,
-};
+use seepd_model::accuracy::{Decade, Judged, coverage, decades, mean_absolute_error, r_squared};
 use seepd_model::schema::Transform;
 use serde::Serialize;
 
 use crate::dataset::{self, Observation, Reading};
 use crate::forest::{Forest, ForestParams, predict};
+use crate::leak_range::LeakRange;
 use crate::train::{ARTICLE_NOISE, Case, Features, TrainingSettings, grow_like, noise_of};
 
 /// Standard deviations of the command's noise in the article's figures 8 and 9.
@@ -73,6 +72,7 @@ pub(crate) struct Subject<'a> {
     pub(crate) reading: &'a Reading<'a>,
     pub(crate) observations: &'a [Observation],
     pub(crate) learned: &'a [Case],
+    pub(crate) leaks: LeakRange,
     pub(crate) params: ForestParams,
     pub(crate) settings: &'a TrainingSettings,
 }
@@ -123,7 +123,8 @@ fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accur
             Some((Judged::new(observation.leak_area_m2, &estimate), score))
         })
         .unzip();
-    let main: Vec<Judged> = cases.iter().filter(|case| in_main_range(case.truth_m2)).copied().collect();
+    let main: Vec<Judged> =
+        cases.iter().filter(|case| subject.leaks.is_main(case.truth_m2)).copied().collect();
     let transform = subject.model.file().transform;
     let pairs = |map: &dyn Fn(f64) -> f64| -> Vec<(f64, f64)> {
         main.iter().map(|case| (map(case.truth_m2), map(case.estimate_m2))).collect()
@@ -150,7 +151,15 @@ fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accur
 fn noise_table(subject: &Subject<'_>, readings: &[Readings]) -> Vec<NoiseLine> {
     let forests: Vec<Option<Forest>> = (0..2)
         .map(|which| {
-            grow_like(subject.features, subject.learned, which, subject.params, subject.settings.seed)
+            let transform = subject.model.file().transform;
+            grow_like(
+                subject.features,
+                subject.learned,
+                which,
+                subject.params,
+                transform,
+                subject.settings.seed,
+            )
         })
         .collect();
     NOISE_LEVELS
@@ -188,7 +197,7 @@ fn forest_error(
         .observations
         .par_iter()
         .zip(readings)
-        .filter(|(observation, _)| in_main_range(observation.leak_area_m2))
+        .filter(|(observation, _)| subject.leaks.is_main(observation.leak_area_m2))
         .filter_map(|(observation, reading)| {
             let (features, _) = reading[which][level].as_ref()?;
             let sum: f64 = forest.trees.iter().map(|tree| predict(tree, |feature| features[feature])).sum();

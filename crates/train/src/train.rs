@@ -16,6 +16,7 @@ use crate::conformal::{self, Prediction};
 use crate::dataset::{self, Observation, Reading, Spread};
 use crate::duty;
 use crate::forest::{Forest, ForestParams, Table};
+use crate::leak_range::LeakRange;
 use crate::out_of_distribution;
 use crate::pca;
 use crate::relative::{self, Conditions, RelativeReport};
@@ -169,8 +170,6 @@ const TEMPLATE_MACHINES: usize = 64;
 const COMPONENTS: usize = 3;
 /// Bytes of a node in the file, at most: its feature, value and right child with their commas.
 const NODE_BYTES: usize = 20;
-/// Offset of the logarithm, m²: admits a leak of 0 and lets errors below it count absolutely.
-const LN_OFFSET_M2: f64 = 2e-8;
 /// Golden pairs in the file.
 const GOLDEN: usize = 12;
 
@@ -186,7 +185,7 @@ pub fn train(
 ) -> Result<Trained, TrainError> {
     let cycle = with_templates(spec, settings)?;
     let phases = cycle.phase_list();
-    let sample_rate_hz = 1.0 / spec.controller.period_s;
+    let sample_rate_hz = 1.0 / spec.controller.log_period_s();
     // A projection onto nothing, for which cycles are binned: the principal components come of these bins.
     let bins = cycle.definition(sample_rate_hz, &phases, Projections::NONE).cycle_bins();
     let nothing = vec![0.0; 2 * bins];
@@ -200,7 +199,7 @@ pub fn train(
     let names = steady_features(&Features::new(&all, &reading, &projections), &learned);
     let features = Features::new(&names, &reading, &projections);
 
-    let transform = Transform::LnOffset(LN_OFFSET_M2);
+    let transform = Transform::LnOffset(LeakRange::of(spec).offset_m2());
     let target: Vec<f64> = learned.iter().map(|case| transform.forward(case.leak_area_m2)).collect();
     let table = features.table(learned.iter().map(|case| &case.mixed), &target);
     let found = search::search(
@@ -247,13 +246,14 @@ pub fn train(
 
     tell(Stage::Measure, 0, 1);
     let observations =
-        dataset::draw(spec, settings.spread, settings.held_out, settings.seed, purpose::HELD_OUT);
+        dataset::draw(spec, &settings.spread, settings.held_out, settings.seed, purpose::HELD_OUT);
     let report = report::measure(&report::Subject {
         model: &model,
         features: &features,
         reading: &reading,
         observations: &observations,
         learned: &learned,
+        leaks: LeakRange::of(spec),
         params: found.params,
         settings,
     });
@@ -313,7 +313,7 @@ fn learn_set(
     tell: &mut dyn FnMut(Stage, usize, usize),
 ) -> Result<Vec<Case>, TrainError> {
     let observations =
-        dataset::draw(spec, settings.spread, settings.observations, settings.seed, purpose::LEARN);
+        dataset::draw(spec, &settings.spread, settings.observations, settings.seed, purpose::LEARN);
     let mut cases = Vec::with_capacity(observations.len());
     // In portions, for the progress bar.
     for portion in observations.chunks(256) {
@@ -352,9 +352,9 @@ fn log_uniform(noise: &mut Noise, (low, high): (f64, f64)) -> f64 {
 fn with_templates(spec: &MachineSpec, settings: &TrainingSettings) -> Result<Cycle, TrainError> {
     let mut cycle = duty::cycle_of(spec)?;
     let windows = duty::template_windows(spec)?;
-    let rate = 1.0 / spec.controller.period_s;
+    let rate = 1.0 / spec.controller.log_period_s();
     let observations =
-        dataset::draw(spec, settings.spread, TEMPLATE_MACHINES, settings.seed, purpose::TEMPLATE);
+        dataset::draw(spec, &settings.spread, TEMPLATE_MACHINES, settings.seed, purpose::TEMPLATE);
     let bin_samples = cycle.bin_samples;
     let shapes: Vec<Shapes> = dataset::simulate(&observations, |index, commands| {
         let mut noise = noise_of(&observations[index], settings);
@@ -549,7 +549,7 @@ fn calibrate(
 ) -> Result<(Calibration, Vec<TrainingDistribution>), TrainError> {
     let levels = &relative::CALIBRATED_NOISE;
     let observations =
-        dataset::draw(spec, settings.spread, settings.calibrated_on, settings.seed, purpose::CALIBRATE);
+        dataset::draw(spec, &settings.spread, settings.calibrated_on, settings.seed, purpose::CALIBRATE);
     let read = |observations: &[Observation]| {
         dataset::simulate(observations, |index, commands| {
             let case = (&observations[index], commands);
@@ -558,9 +558,10 @@ fn calibrate(
     };
     let readings = read(&observations);
     let count = settings.observations / LEARNED_TO_BEYOND;
-    let mut beyond = dataset::draw(spec, settings.spread, count, settings.seed, purpose::BEYOND);
+    let mut beyond = dataset::draw(spec, &settings.spread, count, settings.seed, purpose::BEYOND);
+    let leaks = LeakRange::of(spec);
     for (index, observation) in beyond.iter_mut().enumerate() {
-        observation.leak_area_m2 = dataset::leak_beyond(index as f64 / count as f64);
+        observation.leak_area_m2 = leaks.beyond_m2(index as f64 / count as f64);
     }
     let beyond = read(&beyond);
     let ensemble = Ensemble::new(&forest.trees, features.names.len()).map_err(TrainError::Model)?;
@@ -619,9 +620,9 @@ pub(crate) fn grow_like(
     learned: &[Case],
     which: usize,
     params: ForestParams,
+    transform: Transform,
     seed: u64,
 ) -> Option<Forest> {
-    let transform = Transform::LnOffset(LN_OFFSET_M2);
     let cases: Vec<(&CycleStatistics, f64)> = learned
         .iter()
         .filter_map(|case| {

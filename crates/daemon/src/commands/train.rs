@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use clap::Args;
+use seepd_sim::series::Tolerances;
 use seepd_train::relative::{RelativeAccuracy, RelativeReport};
 use seepd_train::report::{Accuracy, NoiseLine, Report};
 use seepd_train::train::Stage;
@@ -63,7 +64,7 @@ pub struct TrainArguments {
     #[arg(long)]
     full: bool,
     /// Parameters of the machines differ within ± this share
-    #[arg(long, default_value_t = Spread::default().parameters, value_name = "SHARE")]
+    #[arg(long, default_value_t = Spread::default().parameters.share, value_name = "SHARE")]
     parameter_spread: f64,
     /// Loads differ within ± this share
     #[arg(long, default_value_t = Spread::default().load, value_name = "SHARE")]
@@ -106,7 +107,7 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
         held_out: arguments.held_out,
         trials: arguments.trials,
         spread: Spread {
-            parameters: arguments.parameter_spread,
+            parameters: Tolerances::even(arguments.parameter_spread),
             load: arguments.load_spread,
             ..Spread::default()
         },
