@@ -22,6 +22,11 @@ pub(crate) enum Step<'s> {
     Index(usize),
 }
 
+/// Longest path of a field that is told, bytes.
+pub(super) const LONGEST_PATH: usize = 256;
+/// Elements of an array that are told; long arrays are images and clouds of points, not signals.
+const ELEMENTS_TOLD: usize = 16;
+
 /// What is shown a message's numbers, from its top down.
 pub(crate) trait FieldVisitor {
     /// Goes down a step; `false`, and stays, where nothing below it is wanted.
@@ -231,6 +236,57 @@ impl FieldVisitor for Picker<'_> {
                 Err(format!("`{begin}` is not a number"))
             }
         }
+    }
+}
+
+/// Tells every number of a message with its path.
+pub(crate) struct Paths<F> {
+    take: F,
+    path: String,
+    /// Of the path, before each step into it.
+    lengths: Vec<usize>,
+}
+
+impl<F: FnMut(&str, f64)> Paths<F> {
+    /// Tells them to `take`.
+    pub(crate) fn new(take: F) -> Self {
+        Paths { take, path: String::new(), lengths: Vec::new() }
+    }
+}
+
+impl<F: FnMut(&str, f64)> FieldVisitor for Paths<F> {
+    fn enter(&mut self, step: Step<'_>) -> bool {
+        let length = self.path.len();
+        let long = match step {
+            Step::Key(key) => length + key.len() > LONGEST_PATH,
+            Step::Index(index) => index >= ELEMENTS_TOLD,
+        };
+        if long || self.lengths.len() == DEEPEST {
+            return false;
+        }
+        self.lengths.push(length);
+        match step {
+            Step::Key(key) if length == 0 => self.path.push_str(key),
+            Step::Key(key) => {
+                self.path.push('.');
+                self.path.push_str(key);
+            }
+            Step::Index(index) => self.path.push_str(&format!("[{index}]")),
+        }
+        true
+    }
+
+    fn leave(&mut self) {
+        self.path.truncate(self.lengths.pop().unwrap_or_default());
+    }
+
+    fn number(&mut self, value: f64) -> Result<(), String> {
+        (self.take)(&self.path, value);
+        Ok(())
+    }
+
+    fn text(&mut self, _text: &str) -> Result<(), String> {
+        Ok(())
     }
 }
 

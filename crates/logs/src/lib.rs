@@ -3,6 +3,7 @@ mod bus_survey;
 pub mod can;
 mod candump;
 mod channels;
+pub mod columns;
 mod counted;
 mod csv;
 mod decode;

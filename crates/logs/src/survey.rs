@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::bus_survey::{BusFound, BusSurvey, RawGuess};
 use super::candump::{self, LONGEST_LINE};
 use super::decode::{DECODERS_BYTES, Decoder, decoder_bytes};
-use super::fields::{DEEPEST, FieldVisitor, Step};
+use super::fields::{LONGEST_PATH, Paths};
 use super::guess::{Guess, guess};
 use super::intervals::Intervals;
 use super::kind::{HEAD_BYTES, LogKind};
@@ -111,10 +111,6 @@ const LOOKED_INTO: u64 = 20_000;
 const BYTES_LOOKED_INTO: usize = 256 << 20;
 /// Fields of a topic that are told.
 pub(super) const FIELDS_KEPT: usize = 256;
-/// Longest path of a field that is told, bytes.
-const LONGEST_PATH: usize = 256;
-/// Elements of an array that are told; long arrays are images and clouds of points, not signals.
-const ELEMENTS_TOLD: usize = 16;
 /// Topics that are told; large robots have some hundred.
 pub(super) const TOPICS_KEPT: usize = 1024;
 /// Fields that are told in all.
@@ -145,7 +141,15 @@ pub fn survey<R: Read + Seek>(
             LogSurvey::new(name, "MCAP", topics, None, notes)
         }
         LogKind::Csv => {
-            let (topic, time, notes) = survey_csv(text, name, time_column)?;
+            let unit = TimeUnit::of_column(time_column);
+            let (topic, mut notes) = survey_csv(text, name, time_column, unit)?;
+            let time = notes.is_empty().then(|| TimeGuess { column: time_column.to_owned(), unit });
+            if time.is_some() && unit != TimeUnit::S {
+                notes.push(format!(
+                    "by its name, the column `{time_column}` is taken to be in {}",
+                    unit.name()
+                ));
+            }
             LogSurvey { time, ..LogSurvey::new(name, "CSV", vec![topic], None, notes) }
         }
         LogKind::Candump => {
@@ -155,7 +159,10 @@ pub fn survey<R: Read + Seek>(
     })
 }
 
-fn survey_mcap<R: Read + Seek>(input: R, name: &str) -> Result<(Vec<TopicSurvey>, Vec<String>), LogError> {
+pub(crate) fn survey_mcap<R: Read + Seek>(
+    input: R,
+    name: &str,
+) -> Result<(Vec<TopicSurvey>, Vec<String>), LogError> {
     let io = |error: std::io::Error| LogError::data(name, format!("{error}"));
     let mut file = McapFile::new(input).map_err(io)?;
     let mut topics = Topics::default();
@@ -235,14 +242,14 @@ impl Topics {
     }
 }
 
-fn survey_csv(
+pub(crate) fn survey_csv(
     input: impl Read,
     name: &str,
     time_column: &str,
-) -> Result<(TopicSurvey, Option<TimeGuess>, Vec<String>), LogError> {
+    unit: TimeUnit,
+) -> Result<(TopicSurvey, Vec<String>), LogError> {
     let (mut rows, headers) = Rows::new(input).map_err(|what| LogError::data(name, what))?;
     let mut topic = TopicSurvey { topic: "rows".into(), encoding: "csv".into(), ..TopicSurvey::default() };
-    let unit = TimeUnit::of_column(time_column);
     while let Some(row) = rows.next().map_err(|error| LogError::reading(name, error))? {
         topic.messages += 1;
         let Ok(row) = row else {
@@ -259,17 +266,13 @@ fn survey_csv(
         }
     }
     let mut notes = Vec::new();
-    let known = headers.iter().any(|column| column == time_column);
-    if !known {
+    if !headers.iter().any(|column| column == time_column) {
         notes.push(format!("no column `{time_column}` for the time; name it with --time-column"));
-    } else if unit != TimeUnit::S {
-        notes.push(format!("by its name, the column `{time_column}` is taken to be in {}", unit.name()));
     }
-    let time = known.then(|| TimeGuess { column: time_column.to_owned(), unit });
-    Ok((topic.finished(), time, notes))
+    Ok((topic.finished(), notes))
 }
 
-fn survey_candump(
+pub(crate) fn survey_candump(
     input: impl Read,
     name: &str,
     dbc: Option<&Dbc>,
@@ -322,8 +325,8 @@ impl TopicSurvey {
         let Some(decoder) = self.decoder.take().filter(|_| self.messages <= LOOKED_INTO) else { return 0 };
         let known = self.fields.len();
         let most = FIELDS_KEPT.min(known + room);
-        let mut look = Look { topic: self, path: String::new(), lengths: Vec::new(), most };
-        if decoder.visit(message, &mut look).is_err() {
+        let mut paths = Paths::new(|path: &str, value: f64| self.take_field_of(path, value, most));
+        if decoder.visit(message, &mut paths).is_err() {
             self.unreadable += 1;
         }
         self.decoder = Some(decoder);
@@ -361,51 +364,6 @@ impl TopicSurvey {
         self.longest_gap_s = found.longest_gap_s;
         (self.decoder, self.places) = (None, HashMap::new());
         self
-    }
-}
-
-/// Takes every number of a message under its path.
-struct Look<'t> {
-    topic: &'t mut TopicSurvey,
-    path: String,
-    /// Of the path, before each step into it.
-    lengths: Vec<usize>,
-    most: usize,
-}
-
-impl FieldVisitor for Look<'_> {
-    fn enter(&mut self, step: Step<'_>) -> bool {
-        let length = self.path.len();
-        let long = match step {
-            Step::Key(key) => length + key.len() > LONGEST_PATH,
-            Step::Index(index) => index >= ELEMENTS_TOLD,
-        };
-        if long || self.lengths.len() == DEEPEST {
-            return false;
-        }
-        self.lengths.push(length);
-        match step {
-            Step::Key(key) if length == 0 => self.path.push_str(key),
-            Step::Key(key) => {
-                self.path.push('.');
-                self.path.push_str(key);
-            }
-            Step::Index(index) => self.path.push_str(&format!("[{index}]")),
-        }
-        true
-    }
-
-    fn leave(&mut self) {
-        self.path.truncate(self.lengths.pop().unwrap_or_default());
-    }
-
-    fn number(&mut self, value: f64) -> Result<(), String> {
-        self.topic.take_field_of(&self.path, value, self.most);
-        Ok(())
-    }
-
-    fn text(&mut self, _text: &str) -> Result<(), String> {
-        Ok(())
     }
 }
 

@@ -20,6 +20,8 @@ pub struct CanSignal {
     pub name: String,
     /// Frame that carries it.
     pub identifier: Identifier,
+    /// Unit, as the file has it; may be empty.
+    pub unit: String,
     pub(super) field: BitField,
     /// All must hold for the frame to carry the signal.
     selectors: Vec<Selector>,
@@ -46,7 +48,7 @@ pub enum Reading {
 impl CanSignal {
     /// A signal at a place of its own, without a file that names it.
     pub fn at(name: &str, identifier: Identifier, field: BitField) -> Self {
-        CanSignal { name: name.into(), identifier, field, selectors: Vec::new() }
+        CanSignal { name: name.into(), identifier, unit: String::new(), field, selectors: Vec::new() }
     }
 
     /// Reads the signal.
@@ -207,7 +209,8 @@ impl Dbc {
             ));
         }
         let selectors = self.selectors(message, signal)?;
-        Ok(CanSignal { name: self.full_name(message, signal), identifier, field, selectors })
+        let (name, unit) = (self.full_name(message, signal), signal.unit.clone());
+        Ok(CanSignal { name, identifier, unit, field, selectors })
     }
 
     /// Identifier of a message; `None` for the collection of signals without a message and for impossible ones.
