@@ -541,3 +541,12 @@ fn check_holds_the_mapping_beside_the_log() {
         stderr(&output)
     );
 }
+
+#[test]
+fn explain_tells_what_helps_and_knows_what_was_meant() {
+    let text = stdout(&seepd(["explain", "out", "of", "range"]));
+    assert!(text.starts_with("## `out_of_range`\n") && text.contains("per cent `scale = 0.01`"), "{text}");
+    let unknown = seepd(["explain", "unlike_trainig"]);
+    assert_eq!(unknown.status.code(), Some(64));
+    assert!(stderr(&unknown).contains("did you mean `unlike_training`?"), "{}", stderr(&unknown));
+}

@@ -99,6 +99,13 @@ fn links_lead_somewhere() {
 }
 
 #[test]
+fn reasons_are_documented_as_they_are_explained() {
+    let text = fs::read_to_string(root().join("docs/reasons.md")).unwrap();
+    let listed = support::stdout(&support::seepd(["explain"]));
+    assert!(text == listed, "write it anew: seepd explain > docs/reasons.md");
+}
+
+#[test]
 fn effects_are_documented_as_the_catalogue_has_them() {
     let text = fs::read_to_string(root().join("docs/effects.md")).unwrap();
     let listed = support::stdout(&support::seepd(["simulate", "--list-effects"]));

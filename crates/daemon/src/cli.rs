@@ -46,6 +46,7 @@ enum Command {
     Gap(commands::gap::GapArguments),
     Inspect(commands::inspect::InspectArguments),
     Check(commands::check::CheckArguments),
+    Explain(commands::explain::ExplainArguments),
     Completions(commands::shell::CompletionsArguments),
     Man(commands::shell::ManArguments),
 }
@@ -83,6 +84,7 @@ pub fn main() -> ExitCode {
         Command::Gap(arguments) => commands::gap::run(arguments),
         Command::Inspect(arguments) => commands::inspect::run(arguments),
         Command::Check(arguments) => commands::check::run(arguments),
+        Command::Explain(arguments) => commands::explain::run(arguments),
         Command::Completions(arguments) => commands::shell::completions(arguments),
         Command::Man(arguments) => commands::shell::man(arguments),
     };

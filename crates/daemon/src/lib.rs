@@ -23,6 +23,7 @@ pub mod live;
 pub mod output;
 mod progress;
 mod quantity;
+pub mod reasons;
 pub mod sink;
 
 pub use cli::main;

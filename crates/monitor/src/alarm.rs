@@ -8,6 +8,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::event::{Evidence, Flag, Grounds};
+use crate::reason::{NO_CYCLE_YET, UNCONFIRMED};
 
 /// Thresholds and patience: the `[alarm]` table of `seepd.toml`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -101,9 +102,6 @@ pub enum AlarmConfigError {
 
 const RISING: [Flag; 3] = [Flag::Watch, Flag::Leak, Flag::Severe];
 
-/// Why there is no flag while too few estimates above a threshold are there to raise one.
-pub const UNCONFIRMED: &str = "unconfirmed";
-
 /// Estimates in a row that satisfy a condition, with the range of their flows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 struct Run {
@@ -167,7 +165,7 @@ impl Default for Alarm {
     fn default() -> Self {
         Alarm {
             level: Flag::Healthy,
-            reason: Some("no_cycle_yet"),
+            reason: Some(NO_CYCLE_YET),
             highest: Flag::NoEstimate,
             above: [Run::default(); 3],
             below: [Run::default(); 3],
@@ -192,7 +190,7 @@ impl From<AlarmState> for Alarm {
     /// As it was; where there was no estimate, there is none until a cycle comes.
     fn from(state: AlarmState) -> Self {
         let AlarmState { level, estimated, highest, above, below, rejected } = state;
-        let reason = (!estimated).then_some("no_cycle_yet");
+        let reason = (!estimated).then_some(NO_CYCLE_YET);
         Alarm { level: level.max(Flag::Healthy), reason, highest, above, below, rejected }
     }
 }

@@ -5,6 +5,7 @@ pub mod baseline;
 pub mod energy;
 pub mod event;
 pub mod pipeline;
+pub mod reason;
 
 pub use alarm::{Alarm, AlarmConfig};
 pub use baseline::{Baseline, BaselineError, BaselineFile};

@@ -6,6 +6,7 @@ pub mod check;
 #[cfg(feature = "simulate")]
 pub mod demo;
 pub mod evaluate;
+pub mod explain;
 #[cfg(feature = "gap")]
 pub mod gap;
 #[cfg(feature = "live")]

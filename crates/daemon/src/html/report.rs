@@ -1,14 +1,16 @@
 //! The page that `seepd replay --html` leaves.
 
 use maud::{Markup, html};
-use seepd_monitor::alarm::{AlarmConfig, UNCONFIRMED};
+use seepd_monitor::alarm::AlarmConfig;
 use seepd_monitor::baseline::Baseline;
 use seepd_monitor::event::{Flag, Summary};
+use seepd_monitor::reason::UNCONFIRMED;
 
 use super::chart::{Axis, Chart, Layer, Size};
 use super::flags::{self, colour};
 use super::page;
 use crate::quantity::{MM2_PER_M2, bar, mm2, mm2_interval};
+use crate::reasons::meaning;
 use crate::sink::html::{Curves, HtmlSink, Point, Why};
 
 /// What the page shows.
@@ -387,25 +389,6 @@ fn why_table(why: &Why) -> Markup {
                 td { (name.replace('_', " ")) } td.number { (told(*part)) }
             } } }
         } }
-    }
-}
-
-/// What a rejection's reason means, for people.
-fn meaning(reason: &str) -> &'static str {
-    match reason {
-        "incomplete" => "it begins before the log or ends after it, or a stroke is missing",
-        "gap" => "samples are missing in it",
-        "duplicate" => "the same cycle came once more",
-        "out_of_order" => "time went backwards in it",
-        "not_a_number" => "the command was no number",
-        "out_of_range" => "the command lay outside of −1 … 1",
-        "stuck" => "the command stood still while the machine had to move",
-        "unlike_baseline" => {
-            "it differs from the baseline in a way that no leak, load, oil or supply of the training explains"
-        }
-        "unlike_training" => "it is like no machine that the model was trained on, and there is no baseline",
-        "wrong_rate" => "samples came at another rate than that of the model",
-        _ => "",
     }
 }
 

@@ -6,6 +6,7 @@ use seepd_monitor::baseline::CusumFinding;
 use seepd_monitor::energy::Loss;
 use seepd_monitor::event::Flag;
 use seepd_monitor::pipeline::Monitor;
+use seepd_monitor::reason::NO_CYCLE_YET;
 use serde::{Deserialize, Serialize};
 
 /// Cycles whose course is kept for the dashboard.
@@ -82,7 +83,7 @@ impl AxisStatus {
             schema: "seepd.status/1",
             axis: axis.into(),
             flag: Flag::NoEstimate,
-            reason: Some("no_cycle_yet"),
+            reason: Some(NO_CYCLE_YET),
             level: Flag::Healthy,
             latched: None,
             acknowledged: false,

@@ -30,6 +30,7 @@ use crate::clock::Clock;
 use crate::config::{AxisConfig, DaemonConfig};
 use crate::failure::{Code, Failure};
 use crate::hub::{AxisStatus, Hub, Publication};
+use crate::reasons::UNUSABLE_CONFIGURATION;
 use crate::sink::recording::Recorder;
 use axis::AxisContext;
 pub use sinks::check_sinks;
@@ -186,7 +187,7 @@ impl Daemon {
     fn show_unusable(&self, config: &AxisConfig, failure: &Failure) {
         let (orders, _) = mpsc::channel(1);
         let mut status = AxisStatus::new(&config.axis, config.reference_dp_pa);
-        status.reason = Some("unusable_configuration");
+        status.reason = Some(UNUSABLE_CONFIGURATION);
         status.stale = true;
         status.source.detail = Some(failure.message.clone());
         self.hub.add_axis(status, orders);

@@ -3,8 +3,8 @@
 use std::io::{self, Write};
 use std::path::Path;
 
-use seepd_monitor::alarm::UNCONFIRMED;
 use seepd_monitor::event::{CycleLine, Event, Flag, FlagEvent, Summary};
+use seepd_monitor::reason::UNCONFIRMED;
 
 use crate::failure::Failure;
 use crate::quantity::{bar, mm2, mm2_interval};

@@ -10,7 +10,7 @@ mod progress;
 
 use std::sync::Arc;
 
-use seepd_features::{Counts, ReaderError};
+use seepd_features::{Counts, ReaderError, Reason};
 use seepd_model::Model;
 use seepd_signals::Sample;
 
@@ -18,6 +18,7 @@ use crate::alarm::{Alarm, AlarmConfig};
 use crate::baseline::{BaselineError, CusumFinding};
 use crate::energy::Loss;
 use crate::event::{Event, LPM_PER_M3_PER_S, Summary};
+use crate::reason::{NO_CYCLE_FOUND, STALE};
 
 use arbiter::Arbiter;
 pub use monitor::{DutyCycle, Monitor};
@@ -143,7 +144,7 @@ impl Pipeline {
 
     /// The input has gone; what was under way is kept, in case it comes back.
     pub fn stale(&mut self, sink: &mut impl FnMut(&Event<'_>)) {
-        self.progress.lose(&self.config, "stale", sink);
+        self.progress.lose(&self.config, STALE, sink);
     }
 
     /// Takes the alarm up where an earlier run left it.
@@ -176,19 +177,19 @@ impl Pipeline {
 
     /// Why there have been no cycles for long.
     fn silence_reason(&self) -> &'static str {
-        let Some(Monitor { reader, state, .. }) = self.monitors.first() else { return "no_cycle_found" };
+        let Some(Monitor { reader, state, .. }) = self.monitors.first() else { return NO_CYCLE_FOUND };
         let counts = state.counts();
         let long = reader.get().definition().cycle_samples() as i64;
         if state.wrong_rate_hz().is_some() {
-            "wrong_rate"
+            Reason::WrongRate.name()
         } else if counts.not_a_number * 2 > counts.samples {
-            "not_a_number"
+            Reason::NotANumber.name()
         } else if counts.out_of_range * 2 > counts.samples {
-            "out_of_range"
+            Reason::OutOfRange.name()
         } else if state.standstill_samples() > long {
-            "stuck"
+            Reason::Stuck.name()
         } else {
-            "no_cycle_found"
+            NO_CYCLE_FOUND
         }
     }
 

@@ -13,13 +13,10 @@ use crate::baseline::{CusumFinding, LoadKnowledge};
 use crate::event::{
     AbsoluteLine, ComparisonLine, CycleLine, Event, FeatureValues, Flag, FlagEvent, Notice, NoticeKind,
 };
+use crate::reason::{UNLIKE_BASELINE, UNLIKE_TRAINING};
 
-/// Rejections by reason, in order of first appearance: those of [`Reason`](seepd_features::Reason), and the two below.
+/// Rejections by reason, in order of first appearance: those of [`Reason`](seepd_features::Reason), and [`UNLIKE_BASELINE`] and [`UNLIKE_TRAINING`].
 const REASONS: usize = 10;
-/// Reason of cycles that differ from the baseline as nothing in training does.
-const UNLIKE_BASELINE: &str = "unlike_baseline";
-/// Reason of cycles without a baseline that are like no machine of training.
-const UNLIKE_TRAINING: &str = "unlike_training";
 /// Estimates whose median is the summary's.
 const RECENT: usize = 9;
 /// Cycles in a row that are unlike the baseline or training before a person is told.
