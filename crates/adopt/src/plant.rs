@@ -1,0 +1,530 @@
+//! From data-sheet numbers to a plant in SI units: what the user knows is taken, what nobody said is scaled from the nominal press.
+
+use std::collections::BTreeMap;
+
+use seepd_sim::MachineSpec;
+use seepd_sim::oil;
+use serde::Serialize;
+
+use crate::machine_data::{ControllerKind, Datum, MachineData, Orientation, RatedOver};
+
+/// Pascals in a bar.
+const BAR_PA: f64 = 1e5;
+/// Cubic metres a second in a litre a minute.
+const LPM_M3_PER_S: f64 = 1.0 / 60_000.0;
+/// Gravity, m/s².
+const GRAVITY_M_PER_S2: f64 = 9.81;
+/// Rod diameter over bore where nobody said: between the usual area ratios of 1.4 and 1.6 (ISO 3320, ISO 6020-2).
+const USUAL_ROD_SHARE: f64 = 0.56;
+/// Flow of the valve's loop at which servo valves are rated, bar (ISO 10770-1 measures at 70 bar), and proportional valves.
+const SERVO_RATED_BAR: f64 = 70.0;
+/// Speed gain of the position loop of the nominal press, 1/s, and its ratio of integral to proportional gain, 1/s.
+const USUAL_LOOP_PER_S: f64 = 9.3;
+const USUAL_INTEGRAL_PER_S: f64 = 1.25;
+/// Widest dead band that the plant knows.
+const WIDEST_OVERLAP: f64 = 0.15;
+/// Longest task period that is simulated, s: a slower log has every n-th command of a faster controller.
+const LONGEST_TASK_S: f64 = 4e-3;
+
+/// Usual tolerances of data sheets, shares of the value.
+mod tolerance {
+    pub(super) const MACHINED: f64 = 0.0;
+    pub(super) const VALVE: f64 = 0.10;
+    pub(super) const PUMP: f64 = 0.10;
+    pub(super) const PRESSURE: f64 = 0.05;
+    pub(super) const MASS: f64 = 0.20;
+    /// Of what is scaled from the nominal press: a factor of 2 to either side.
+    pub(super) const UNKNOWN: f64 = 1.0;
+}
+
+/// Where a value of the plant file comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Origin {
+    /// The user's file.
+    User,
+    /// The log, by a fit.
+    Fitted,
+    /// The nominal press, scaled to the machine's size.
+    Default,
+    /// It was free in the fit, and the log says nothing of it.
+    NotIdentifiable,
+}
+
+impl Origin {
+    /// In words.
+    pub const fn words(self) -> &'static str {
+        match self {
+            Origin::User => "yours",
+            Origin::Fitted => "fitted to the log",
+            Origin::Default => "usual for a machine of this size",
+            Origin::NotIdentifiable => "not to be told from this log",
+        }
+    }
+}
+
+/// A value of the plant file and how well it is known.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PlantValue {
+    /// Value, in the key's SI unit.
+    pub value: f64,
+    /// Where it comes from.
+    pub origin: Origin,
+    /// How far it may be off to either side, share of the value.
+    pub tolerance: f64,
+}
+
+/// A machine in SI units.
+#[derive(Debug, Clone)]
+pub struct DescribedPlant {
+    /// The machine; its duty cycle is the log's.
+    pub spec: MachineSpec,
+    /// How well each of the plant's parameters is known, by key.
+    pub values: BTreeMap<&'static str, PlantValue>,
+    /// Weight of the moved mass, N, positive in the extending direction.
+    pub weight_n: f64,
+    /// Whether the user gave the controller's gains.
+    pub has_gains: bool,
+    /// Whether the controller integrates, where the user said so.
+    pub integrates: Option<bool>,
+    /// What to know, one line each.
+    pub remarks: Vec<String>,
+}
+
+/// What the log says of the machine's size.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct LoggedSize {
+    /// Time from one sample to the next, s.
+    pub log_period_s: f64,
+    /// Lowest and highest position, m.
+    pub positions_m: Option<(f64, f64)>,
+    /// Speed over command where the machine moves, m/s at full command.
+    pub speed_m_per_s: Option<f64>,
+}
+
+/// Data that cannot be of one machine.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum DataError {
+    /// A number that must be positive.
+    #[error("`{key}` is {value}; it must be positive")]
+    NotPositive {
+        /// Key.
+        key: &'static str,
+        /// Value.
+        value: f64,
+    },
+    /// A share outside of what it can be.
+    #[error("`{key}` is {value}; it must lie in {low} … {high}")]
+    Outside {
+        /// Key.
+        key: &'static str,
+        /// Value.
+        value: f64,
+        /// Least.
+        low: f64,
+        /// Largest.
+        high: f64,
+    },
+    /// The rod does not fit the bore.
+    #[error(
+        "the rod ({rod_mm} mm) is not thinner than the bore ({bore_mm} mm): are cylinder.rod_mm and cylinder.bore_mm exchanged?"
+    )]
+    Rod {
+        /// Rod, mm.
+        rod_mm: f64,
+        /// Bore, mm.
+        bore_mm: f64,
+    },
+    /// The log's positions do not fit the stroke.
+    #[error(
+        "the log's positions span {logged_mm:.0} mm, but cylinder.stroke_mm is {stroke_mm:.0}: is it another axis, or is the position's scale wrong?"
+    )]
+    Stroke {
+        /// Span of the log, mm.
+        logged_mm: f64,
+        /// Stroke, mm.
+        stroke_mm: f64,
+    },
+    /// The valve cannot give the speed of the log.
+    #[error(
+        "the log moves at {logged_m_per_s:.3} m/s a full command, but this valve, bore and pressure give {possible_m_per_s:.3} m/s: check \
+         valve.rated_flow_lpm, valve.rated_at_bar, cylinder.bore_mm and the scales of command and position"
+    )]
+    Speed {
+        /// Speed over command in the log, m/s.
+        logged_m_per_s: f64,
+        /// What the machine can do, m/s.
+        possible_m_per_s: f64,
+    },
+}
+
+/// The speed of the log may exceed that of the data by this factor, and fall short of it by the other.
+const SPEED_ROOM: (f64, f64) = (2.5, 0.25);
+/// The log's positions may exceed the stroke by this factor.
+const STROKE_ROOM: f64 = 1.05;
+
+/// Makes the plant of a machine.
+///
+/// # Errors
+/// [`DataError`] for data that cannot be of one machine, or not of that log.
+pub fn describe(data: &MachineData, logged: &LoggedSize) -> Result<DescribedPlant, DataError> {
+    check(data)?;
+    let mut describer =
+        Describer { spec: MachineSpec::default(), values: BTreeMap::new(), remarks: Vec::new() };
+    describer.supply_pressure(data);
+    describer.cylinder(data, logged)?;
+    describer.valve(data, logged);
+    describer.rest_of_the_plant(data);
+    describer.speed_fits(data, logged)?;
+    describer.controller(data, logged);
+    let sign = match data.cylinder.orientation {
+        Orientation::Horizontal => 0.0,
+        Orientation::RodUp => -1.0,
+        Orientation::RodDown => 1.0,
+    };
+    let weight_n = sign * GRAVITY_M_PER_S2 * describer.spec.plant.mass_kg;
+    let c = &data.controller;
+    Ok(DescribedPlant {
+        spec: describer.spec,
+        values: describer.values,
+        weight_n,
+        has_gains: c.kp_per_m.is_some(),
+        integrates: c.kind.map(|kind| kind != ControllerKind::P).or(c.ki_per_m_s.map(|ki| ki.value() > 0.0)),
+        remarks: describer.remarks,
+    })
+}
+
+/// Every number that must be positive, with its key.
+fn check(data: &MachineData) -> Result<(), DataError> {
+    let positive = [
+        ("cylinder.bore_mm", data.cylinder.bore_mm),
+        ("cylinder.rod_mm", data.cylinder.rod_mm),
+        ("cylinder.stroke_mm", data.cylinder.stroke_mm),
+        ("cylinder.moved_mass_kg", data.cylinder.moved_mass_kg),
+        ("cylinder.hose_length_m", data.cylinder.hose_length_m),
+        ("cylinder.hose_bore_mm", data.cylinder.hose_bore_mm),
+        ("valve.rated_flow_lpm", data.valve.rated_flow_lpm),
+        ("valve.rated_at_bar", data.valve.rated_at_bar.map(Datum::Bare)),
+        ("supply.pump_flow_lpm", data.supply.pump_flow_lpm),
+        ("supply.relief_bar", data.supply.relief_bar),
+        ("oil.density_kg_per_m3", data.oil.density_kg_per_m3),
+        ("oil.iso_vg", data.oil.iso_vg.map(Datum::Bare)),
+        ("controller.kp_per_m", data.controller.kp_per_m),
+        ("controller.task_period_ms", data.controller.task_period_ms),
+    ];
+    for (key, datum) in positive {
+        if let Some(value) = datum.map(Datum::value).filter(|value| !(value.is_finite() && *value > 0.0)) {
+            return Err(DataError::NotPositive { key, value });
+        }
+    }
+    let within = [
+        ("valve.overlap_percent", data.valve.overlap_percent.map(Datum::value), 0.0, 50.0),
+        (
+            "controller.dead_band_compensation_percent",
+            data.controller.dead_band_compensation_percent.map(Datum::value),
+            0.0,
+            50.0,
+        ),
+        ("controller.ki_per_m_s", data.controller.ki_per_m_s.map(Datum::value), 0.0, 1e6),
+        ("controller.kd_s_per_m", data.controller.kd_s_per_m.map(Datum::value), 0.0, 1e6),
+        (
+            "controller.velocity_feed_forward_s_per_m",
+            data.controller.velocity_feed_forward_s_per_m.map(Datum::value),
+            0.0,
+            1e3,
+        ),
+        ("supply.return_bar", data.supply.return_bar.map(Datum::value), 0.0, 100.0),
+        ("supply.accumulator_l", data.supply.accumulator_l.map(Datum::value), 0.0, 1e4),
+        ("oil.temperature_c", data.oil.temperature_c, -20.0, 120.0),
+    ];
+    for (key, value, low, high) in within {
+        if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
+            return Err(DataError::Outside { key, value, low, high });
+        }
+    }
+    if let (Some(rod), Some(bore)) = (data.cylinder.rod_mm, data.cylinder.bore_mm)
+        && rod.value() >= bore.value()
+    {
+        return Err(DataError::Rod { rod_mm: rod.value(), bore_mm: bore.value() });
+    }
+    Ok(())
+}
+
+fn circle_m2(diameter_mm: f64) -> f64 {
+    std::f64::consts::FRAC_PI_4 * (diameter_mm * 1e-3).powi(2)
+}
+
+struct Describer {
+    spec: MachineSpec,
+    values: BTreeMap<&'static str, PlantValue>,
+    remarks: Vec<String>,
+}
+
+impl Describer {
+    fn set(&mut self, key: &'static str, value: f64, origin: Origin, tolerance: f64) {
+        if let Some(slot) = self.spec.plant.get_mut(key) {
+            *slot = value;
+            self.values.insert(key, PlantValue { value, origin, tolerance });
+        }
+    }
+
+    fn known(&mut self, key: &'static str, datum: Datum, to_si: f64, usual: f64) {
+        self.set(key, datum.value() * to_si, Origin::User, datum.tolerance().unwrap_or(usual));
+    }
+
+    fn usual(&mut self, key: &'static str, value: f64) {
+        self.set(key, value, Origin::Default, tolerance::UNKNOWN);
+    }
+
+    fn supply_pressure(&mut self, data: &MachineData) {
+        let nominal = self.spec.plant.clone();
+        match data.supply.relief_bar {
+            Some(datum) => self.known("relief_pressure_pa", datum, BAR_PA, tolerance::PRESSURE),
+            None => self.set("relief_pressure_pa", nominal.relief_pressure_pa, Origin::Default, 0.4),
+        }
+        match data.supply.return_bar {
+            Some(datum) => self.known("return_pressure_pa", datum, BAR_PA, 0.5),
+            None => self.usual("return_pressure_pa", nominal.return_pressure_pa),
+        }
+    }
+
+    fn cylinder(&mut self, data: &MachineData, logged: &LoggedSize) -> Result<(), DataError> {
+        let cylinder = &data.cylinder;
+        let from_flow = || {
+            let flow = data.valve.rated_flow_lpm?.value() * LPM_M3_PER_S * self.flow_share(data);
+            let area = flow / logged.speed_m_per_s?;
+            Some((area / std::f64::consts::FRAC_PI_4).sqrt() * 1e3)
+        };
+        let (bore_mm, origin, tolerance) = match (cylinder.bore_mm, cylinder.rod_mm, from_flow()) {
+            (Some(bore), ..) => (bore.value(), Origin::User, bore.tolerance().unwrap_or(tolerance::MACHINED)),
+            (None, _, Some(by_flow)) => (by_flow, Origin::Fitted, 0.15),
+            (None, Some(rod), None) => (rod.value() / USUAL_ROD_SHARE, Origin::Default, 0.2),
+            (None, None, None) => {
+                self.remarks.push(
+                    "neither the bore nor the valve's flow is known, so that leaks cannot be given in L/min: measure or look up one of them"
+                        .into(),
+                );
+                (63.0, Origin::Default, tolerance::UNKNOWN)
+            }
+        };
+        let (rod_mm, rod_origin) = cylinder
+            .rod_mm
+            .map_or((USUAL_ROD_SHARE * bore_mm, Origin::Default), |rod| (rod.value(), Origin::User));
+        let cap = circle_m2(bore_mm);
+        self.set("cap_area_m2", cap, origin, tolerance);
+        let rod_tolerance = if rod_origin == Origin::User { tolerance } else { 0.15 };
+        self.set("annulus_area_m2", cap - circle_m2(rod_mm.min(0.95 * bore_mm)), rod_origin, rod_tolerance);
+        let span = logged.positions_m.map(|(low, high)| high - low);
+        match cylinder.stroke_mm {
+            Some(stroke) => {
+                self.known("stroke_m", stroke, 1e-3, tolerance::MACHINED);
+                let stroke_mm = stroke.value();
+                if let Some(logged_mm) =
+                    span.map(|span| span * 1e3).filter(|span| *span > STROKE_ROOM * stroke_mm)
+                {
+                    return Err(DataError::Stroke { logged_mm, stroke_mm });
+                }
+            }
+            None => {
+                let highest = logged.positions_m.map(|(low, high)| 1.1 * high.max(high - low));
+                self.set("stroke_m", highest.unwrap_or(8e-3 * bore_mm), Origin::Default, 0.3);
+            }
+        }
+        Ok(())
+    }
+
+    /// Flow of the valve's rating that a stroke at half of the supply pressure uses, over the rated one.
+    fn flow_share(&self, data: &MachineData) -> f64 {
+        (0.5 * self.spec.plant.relief_pressure_pa / rated_land_pa(data)).sqrt()
+    }
+
+    fn valve(&mut self, data: &MachineData, logged: &LoggedSize) {
+        let valve = &data.valve;
+        let key = "valve_m3_per_s_sqrt_pa";
+        match (valve.rated_flow_lpm, logged.speed_m_per_s) {
+            (Some(flow), _) => {
+                self.known(key, flow, LPM_M3_PER_S / rated_land_pa(data).sqrt(), tolerance::VALVE);
+                if valve.rated_at_bar.is_none() {
+                    self.remarks.push(format!(
+                        "valve.rated_at_bar is not given: {SERVO_RATED_BAR} bar over the loop is taken, as for servo valves; proportional valves \
+                         are rated at 10 bar"
+                    ));
+                }
+            }
+            (None, Some(speed)) => {
+                let p = &self.spec.plant;
+                let coefficient =
+                    speed / speed_of(p.cap_area_m2, p.annulus_area_m2, p.relief_pressure_pa, 1.0);
+                self.set(key, coefficient, Origin::Fitted, 0.3);
+            }
+            (None, None) => {
+                let nominal = MachineSpec::default().plant;
+                let scale = self.spec.plant.cap_area_m2 / nominal.cap_area_m2;
+                self.usual(key, scale * nominal.valve_m3_per_s_sqrt_pa);
+            }
+        }
+        if let Some(overlap) =
+            valve.overlap_percent.map(|overlap| overlap.value() / 100.0).filter(|half| *half > 0.0)
+        {
+            if overlap > WIDEST_OVERLAP {
+                self.remarks.push(format!(
+                    "an overlap of {:.0} % is beyond the plant's widest dead band; {:.0} % is taken",
+                    100.0 * overlap,
+                    100.0 * WIDEST_OVERLAP
+                ));
+            }
+            let half_width = overlap.min(WIDEST_OVERLAP);
+            self.spec
+                .effects
+                .entry("valve_deadband".into())
+                .or_default()
+                .insert("half_width".into(), half_width);
+        }
+    }
+
+    /// What goes with the machine's size: flows with the valve, forces with the piston.
+    fn rest_of_the_plant(&mut self, data: &MachineData) {
+        let nominal = MachineSpec::default().plant;
+        let flow = self.spec.plant.valve_m3_per_s_sqrt_pa / nominal.valve_m3_per_s_sqrt_pa;
+        let area = self.spec.plant.cap_area_m2 / nominal.cap_area_m2;
+        let swept = area * self.spec.plant.stroke_m / nominal.stroke_m;
+        match data.supply.pump_flow_lpm {
+            Some(datum) => self.known("pump_flow_m3_per_s", datum, LPM_M3_PER_S, tolerance::PUMP),
+            None => self.usual("pump_flow_m3_per_s", flow * nominal.pump_flow_m3_per_s),
+        }
+        match data.cylinder.moved_mass_kg {
+            Some(datum) => self.known("mass_kg", datum, 1.0, tolerance::MASS),
+            None => self.usual("mass_kg", area * nominal.mass_kg),
+        }
+        if let Some(density) = data.oil.density_kg_per_m3 {
+            self.known("density_kg_per_m3", density, 1.0, tolerance::MACHINED);
+        }
+        // An accumulator of gas at half of the supply pressure gives as a volume of oil so many times as large does.
+        let gas_m3 = data.supply.accumulator_l.map_or(0.0, |litres| litres.value() * 1e-3);
+        let as_oil_m3 = gas_m3 * nominal.bulk_modulus_pa / (1.4 * self.spec.plant.relief_pressure_pa);
+        self.usual("supply_volume_m3", flow * nominal.supply_volume_m3 + as_oil_m3);
+        self.usual("inlet_volume_m3", flow * nominal.inlet_volume_m3);
+        self.usual("relief_resistance_pa_s_per_m3", nominal.relief_resistance_pa_s_per_m3 / flow);
+        self.usual("line_m3_per_s_sqrt_pa", flow * nominal.line_m3_per_s_sqrt_pa);
+        let hose_m3 = match (data.cylinder.hose_length_m, data.cylinder.hose_bore_mm) {
+            (Some(length), Some(bore)) => length.value() * circle_m2(bore.value()),
+            (Some(length), None) => length.value() * 0.1 * self.spec.plant.cap_area_m2,
+            _ => 0.0,
+        };
+        self.usual("cap_dead_volume_m3", swept * nominal.cap_dead_volume_m3 + hose_m3);
+        self.usual("rod_dead_volume_m3", swept * nominal.rod_dead_volume_m3 + hose_m3);
+        let oil_c = data.oil.temperature_c.unwrap_or(oil::NOMINAL_TEMPERATURE_C);
+        let grade = data.oil.iso_vg.unwrap_or(46.0) / 46.0;
+        let thick = grade * oil::viscosity_factor(oil_c);
+        self.usual("viscous_friction_n_s_per_m", thick * area * nominal.viscous_friction_n_s_per_m);
+        self.usual("seal_resistance_pa_s_per_m3", thick * nominal.seal_resistance_pa_s_per_m3 / flow);
+        self.usual(
+            "valve_return_resistance_pa_s_per_m3",
+            thick * nominal.valve_return_resistance_pa_s_per_m3 / flow,
+        );
+        self.usual(
+            "valve_rod_resistance_pa_s_per_m3",
+            thick * nominal.valve_rod_resistance_pa_s_per_m3 / flow,
+        );
+        self.set("bulk_modulus_pa", nominal.bulk_modulus_pa, Origin::Default, 0.3);
+    }
+
+    fn speed_fits(&self, data: &MachineData, logged: &LoggedSize) -> Result<(), DataError> {
+        let p = &self.spec.plant;
+        let possible =
+            speed_of(p.cap_area_m2, p.annulus_area_m2, p.relief_pressure_pa, p.valve_m3_per_s_sqrt_pa);
+        match logged.speed_m_per_s {
+            Some(logged_m_per_s)
+                if data.valve.rated_flow_lpm.is_some()
+                    && data.cylinder.bore_mm.is_some()
+                    && !(SPEED_ROOM.1..SPEED_ROOM.0).contains(&(logged_m_per_s / possible)) =>
+            {
+                Err(DataError::Speed { logged_m_per_s, possible_m_per_s: possible })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn controller(&mut self, data: &MachineData, logged: &LoggedSize) {
+        let given = &data.controller;
+        let p = &self.spec.plant;
+        let gain = speed_of(p.cap_area_m2, p.annulus_area_m2, p.relief_pressure_pa, p.valve_m3_per_s_sqrt_pa);
+        let kp = given.kp_per_m.map_or(USUAL_LOOP_PER_S / gain, Datum::value);
+        let integrates = given.kind != Some(ControllerKind::P);
+        let usual_ki = if integrates { USUAL_INTEGRAL_PER_S * kp } else { 0.0 };
+        let c = &mut self.spec.controller;
+        c.kp = kp;
+        c.ki = given.ki_per_m_s.map_or(usual_ki, Datum::value);
+        c.kd = given.kd_s_per_m.map_or(0.0, Datum::value);
+        c.velocity_feed_forward_s_per_m = given.velocity_feed_forward_s_per_m.map_or(0.0, Datum::value);
+        c.dead_band_compensation =
+            given.dead_band_compensation_percent.map_or(0.0, |percent| percent.value() / 100.0);
+        let task_s =
+            given.task_period_ms.map_or(LONGEST_TASK_S.min(logged.log_period_s), |ms| ms.value() * 1e-3);
+        c.log_every = (logged.log_period_s / task_s.min(LONGEST_TASK_S)).ceil().max(1.0) as usize;
+        if logged.log_period_s <= task_s {
+            c.log_every = 1;
+        }
+        c.period_s = logged.log_period_s / c.log_every as f64;
+    }
+}
+
+/// Pressure drop over one land at which the valve's flow is rated, Pa.
+fn rated_land_pa(data: &MachineData) -> f64 {
+    let bar = data.valve.rated_at_bar.unwrap_or(SERVO_RATED_BAR);
+    let lands = match data.valve.rated_over {
+        Some(RatedOver::Land) => 1.0,
+        Some(RatedOver::Loop) | None => 2.0,
+    };
+    bar * BAR_PA / lands
+}
+
+/// Steady speed at full command without a load, m/s, the mean of both ways: the pressures of both chambers balance the flows through both lands.
+pub(crate) fn speed_of(cap_m2: f64, annulus_m2: f64, supply_pa: f64, valve_m3_per_s_sqrt_pa: f64) -> f64 {
+    let cubes = cap_m2.powi(3) + annulus_m2.powi(3);
+    let way = |area: f64| (area * supply_pa / cubes).sqrt();
+    0.5 * valve_m3_per_s_sqrt_pa * (way(cap_m2) + way(annulus_m2))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The nominal press's own data sheet gives the nominal press.
+    #[test]
+    fn the_nominal_press_is_described_by_its_data_sheet() {
+        let text = "[cylinder]\nbore_mm = 63\nrod_mm = 36\nstroke_mm = 500\nmoved_mass_kg = 250\n\
+                    [valve]\nrated_flow_lpm = 96\nrated_at_bar = 70\n[supply]\npump_flow_lpm = 90\nrelief_bar = 160\nreturn_bar = 1\n\
+                    [controller]\nkp_per_m = 12\nki_per_m_s = 15\n";
+        let data = MachineData::from_toml(text).unwrap();
+        let described = describe(&data, &LoggedSize { log_period_s: 1e-3, ..LoggedSize::default() }).unwrap();
+        let nominal = MachineSpec::default();
+        for info in seepd_sim::PlantParameters::ALL {
+            let (given, wanted) =
+                (described.spec.plant.get(info.key).unwrap(), nominal.plant.get(info.key).unwrap());
+            let tolerance = 2e-3 * wanted.abs().max(f64::MIN_POSITIVE);
+            assert!((given - wanted).abs() <= tolerance, "{}: {given} {wanted}", info.key);
+        }
+        assert_eq!(described.spec.controller, nominal.controller);
+        assert_eq!(described.values["valve_m3_per_s_sqrt_pa"].origin, Origin::User);
+        assert_eq!(described.values["bulk_modulus_pa"].origin, Origin::Default);
+    }
+
+    #[test]
+    fn data_that_contradict_themselves_or_the_log_are_refused() {
+        let refused = |text: &str, logged: LoggedSize| {
+            describe(&MachineData::from_toml(text).unwrap(), &logged).unwrap_err().to_string()
+        };
+        let slow = LoggedSize { log_period_s: 1e-3, ..LoggedSize::default() };
+        let rod = refused("[cylinder]\nbore_mm = 40\nrod_mm = 63\n", slow);
+        assert!(rod.contains("exchanged"), "{rod}");
+        let longer = LoggedSize { positions_m: Some((0.0, 0.9)), ..slow };
+        let stroke = refused("[cylinder]\nstroke_mm = 500\n", longer);
+        assert!(stroke.contains("900 mm") && stroke.contains("500"), "{stroke}");
+        let faster = LoggedSize { speed_m_per_s: Some(5.0), ..slow };
+        let speed = refused("[cylinder]\nbore_mm = 63\n[valve]\nrated_flow_lpm = 10\n", faster);
+        assert!(speed.contains("5.000 m/s"), "{speed}");
+        assert!(refused("[valve]\nrated_flow_lpm = -3\n", slow).contains("must be positive"));
+    }
+}
