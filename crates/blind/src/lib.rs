@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+pub mod axis;
 pub mod cause;
 pub mod foreign;
 pub mod press;

@@ -44,6 +44,9 @@ enum Command {
     TestSinks(commands::test_sinks::TestSinksArguments),
     #[cfg(feature = "gap")]
     Gap(commands::gap::GapArguments),
+    #[cfg(feature = "gap")]
+    #[command(hide = true)]
+    AdoptBlind(commands::adopt_blind::AdoptBlindArguments),
     Inspect(commands::inspect::InspectArguments),
     Check(commands::check::CheckArguments),
     Explain(commands::explain::ExplainArguments),
@@ -82,6 +85,8 @@ pub fn main() -> ExitCode {
         Command::TestSinks(arguments) => commands::test_sinks::run(arguments),
         #[cfg(feature = "gap")]
         Command::Gap(arguments) => commands::gap::run(arguments),
+        #[cfg(feature = "gap")]
+        Command::AdoptBlind(arguments) => commands::adopt_blind::run(arguments),
         Command::Inspect(arguments) => commands::inspect::run(arguments),
         Command::Check(arguments) => commands::check::run(arguments),
         Command::Explain(arguments) => commands::explain::run(arguments),

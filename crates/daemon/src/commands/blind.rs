@@ -180,12 +180,7 @@ pub fn run(arguments: &BlindArguments) -> Result<Outcome, Failure> {
 
 fn plant(arguments: &PlantArguments) -> Result<Outcome, Failure> {
     for directory in [&arguments.logs, &arguments.truth] {
-        fs::create_dir_all(directory).map_err(|error| Failure::writing(directory, error))?;
-        let mut inside = fs::read_dir(directory).map_err(|error| Failure::reading(directory, &error))?;
-        if inside.next().is_some() {
-            let what = format!("{}: the folder is not empty; name a new one", directory.display());
-            return Err(Failure::new(Code::Usage, what));
-        }
+        begin_folder(directory)?;
     }
     let mut cases = seepd_blind::draw(arguments.seed, arguments.each.into(), arguments.sizes.into());
     cases.truncate(arguments.limit.unwrap_or(cases.len()));
@@ -419,20 +414,31 @@ fn hash(path: &Path) -> Result<String, Failure> {
     Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-fn json(value: &impl Serialize) -> Result<String, Failure> {
+pub(super) fn json(value: &impl Serialize) -> Result<String, Failure> {
     serde_json::to_string_pretty(value).map_err(|error| Failure::new(Code::Internal, error.to_string()))
 }
 
+/// Makes a folder for what a command writes; one that is there must be empty.
+pub(super) fn begin_folder(directory: &Path) -> Result<(), Failure> {
+    fs::create_dir_all(directory).map_err(|error| Failure::writing(directory, error))?;
+    let mut inside = fs::read_dir(directory).map_err(|error| Failure::reading(directory, &error))?;
+    if inside.next().is_some() {
+        let what = format!("{}: the folder is not empty; name a new one", directory.display());
+        return Err(Failure::new(Code::Usage, what));
+    }
+    Ok(())
+}
+
 /// A file in a folder that is this command's own: new, or with answers that another run has left.
-fn in_own_folder(path: &Path) -> Result<Output, Failure> {
+pub(super) fn in_own_folder(path: &Path) -> Result<Output, Failure> {
     Outputs::new(OverwriteArguments { force: true }, []).claim(path)
 }
 
-fn write_json(file: &Output, value: &impl Serialize) -> Result<(), Failure> {
+pub(super) fn write_json(file: &Output, value: &impl Serialize) -> Result<(), Failure> {
     file.write(json(value)? + "\n")
 }
 
-fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Failure> {
+pub(super) fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T, Failure> {
     let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
     serde_json::from_str(&text).map_err(|error| Failure::data(format!("{}: {error}", path.display())))
 }

@@ -1,6 +1,8 @@
 //! The commands, one file each.
 
 #[cfg(feature = "gap")]
+pub mod adopt_blind;
+#[cfg(feature = "gap")]
 pub mod blind;
 pub mod check;
 #[cfg(feature = "simulate")]

@@ -1,0 +1,229 @@
+//! Cases: a machine, its papers, its logs, and what is true of them.
+
+use std::collections::BTreeMap;
+
+use seepd_sim::noise::Noise;
+use serde::{Deserialize, Serialize};
+
+use super::data_sheet::DataSheet;
+use super::decency::decent;
+use super::draw::{Built, Choice, build};
+use super::duty::{Beginning, Timeline};
+use super::log_file::{LogFormat, LoggedSignals};
+use super::machine::{Leak, Machine};
+use super::run::{Day, run};
+
+/// Machines that are drawn until one is decent.
+const DRAWS: u64 = 10_000;
+/// How far a part may be off its catalogue; these are the tolerances that hold for it, less a margin for rounding.
+const VALVE_TOLERANCE: f64 = 0.09;
+const PUMP_TOLERANCE: f64 = 0.09;
+const MASS_TOLERANCE: f64 = 0.19;
+/// Length of a healthy log where its cycles are long, s.
+const LONGEST_HEALTHY_S: f64 = 1800.0;
+/// Leaks of a worn seal, share of the valve's rated flow at 70 bar.
+const LEAKS: (f64, f64) = (3e-3, 0.15);
+
+/// A machine with its papers and its logs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Case {
+    /// Its name.
+    pub name: String,
+    /// What its user can read off its papers.
+    pub sheet: DataSheet,
+    /// What is true of it.
+    pub truth: Truth,
+}
+
+/// What is true of a case.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Truth {
+    /// The machine.
+    pub machine: Machine,
+    /// The valve's rated flow as catalogues have it, L/min.
+    pub rated_flow_lpm: f64,
+    /// How the logs are written.
+    pub format: LogFormat,
+    /// The logs by name; the one that adoption is given is [`HEALTHY`].
+    pub logs: BTreeMap<String, LogTruth>,
+}
+
+/// What is true of a log.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LogTruth {
+    /// Leak past the piston.
+    pub leak: Leak,
+    /// The same flow at 70 bar and the working temperature, L/min.
+    pub leak_lpm: f64,
+    /// Oil temperature at the beginning and at the end, °C.
+    pub temperature_c: (f64, f64),
+    /// Factor on process forces.
+    pub force: f64,
+    /// What the log begins with.
+    pub beginning: Beginning,
+    /// Duty cycles that are whole in the log.
+    pub cycles: usize,
+    /// Seed of its noise and variation.
+    pub seed: u64,
+}
+
+/// Name of the healthy log that a machine is adopted from.
+pub const HEALTHY: &str = "healthy";
+
+/// Draws a case; the same for a seed and a number. None where no decent machine was drawn.
+pub fn draw(seed: u64, number: usize, signals: LoggedSignals) -> Option<Case> {
+    let name = format!("case-{number:03}");
+    let seed = seed.wrapping_mul(100_003).wrapping_add(number as u64);
+    let (built, machine) = (0..DRAWS).find_map(|draw| drawn_machine(seed, draw))?;
+    let mut noise = Noise::new(seed, 2);
+    let sheet = DataSheet::of(&name, &built, &mut noise);
+    let period_s = machine.duty.period_s();
+    let as_many = (LONGEST_HEALTHY_S / period_s) as usize;
+    let cycles = (60 + noise.index(41)).min(as_many).max(24);
+    let healthy_s = cycles as f64 * period_s;
+    let format = LogFormat::draw(signals, machine.controller.period_s, period_s, healthy_s, &mut noise);
+    let logs = logs(&machine, built.rated_m3_per_s, cycles, seed, &mut noise);
+    let truth = Truth { machine, rated_flow_lpm: built.rated_m3_per_s * 6e4, format, logs };
+    Some(Case { name, sheet, truth })
+}
+
+/// A machine as its catalogues have it and as it was made, where it is decent.
+fn drawn_machine(seed: u64, draw: u64) -> Option<(Built, Machine)> {
+    let mut noise = Noise::new(seed, 1000 + draw);
+    let built = build(&mut noise)?;
+    let mut machine = built.machine.clone();
+    machine.valve.coefficient *= noise.factor(VALVE_TOLERANCE);
+    machine.supply.flow_m3_per_s *= noise.factor(PUMP_TOLERANCE);
+    let mass = noise.factor(MASS_TOLERANCE);
+    machine.cylinder.mass_kg *= mass;
+    machine.cylinder.weight_n *= mass;
+    decent(&machine, healthy_leak(built.rated_m3_per_s, &mut noise)).then_some((built, machine))
+}
+
+fn healthy_leak(rated_m3_per_s: f64, noise: &mut Noise) -> Leak {
+    Leak { flow_m3_per_s: rated_m3_per_s * noise.uniform(5e-5, 5e-4), exponent: 1.0 }
+}
+
+/// The healthy log, two or three with leaks and a healthy one, in an order that tells nothing.
+fn logs(
+    machine: &Machine,
+    rated_m3_per_s: f64,
+    healthy_cycles: usize,
+    seed: u64,
+    noise: &mut Noise,
+) -> BTreeMap<String, LogTruth> {
+    let healthy = healthy_leak(rated_m3_per_s, noise);
+    let exponent = if noise.chance(0.7) { 0.5 } else { noise.uniform(0.5, 1.0) };
+    let mut leaks = vec![healthy];
+    for _ in 0..2 + noise.index(2) {
+        leaks.push(Leak { flow_m3_per_s: rated_m3_per_s * noise.log_uniform(LEAKS.0, LEAKS.1), exponent });
+    }
+    // A number drawn for each is its place.
+    let mut later: Vec<(f64, Leak)> = leaks.into_iter().map(|leak| (noise.uniform(0.0, 1.0), leak)).collect();
+    later.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    let mut logs = BTreeMap::new();
+    let beginning =
+        [Beginning::AtWork, Beginning::AtWork, Beginning::Idle, Beginning::Manual][noise.index(4)];
+    let mut plan = |name: String, leak: Leak, cycles: usize, beginning: Beginning| {
+        let warm_c = machine.oil.temperature_c + noise.uniform(-3.0, 3.0);
+        let truth = LogTruth {
+            leak,
+            leak_lpm: leak.flow_m3_per_s * 6e4,
+            temperature_c: (warm_c, warm_c + noise.uniform(-1.5, 1.5)),
+            force: noise.factor(0.02),
+            beginning,
+            cycles,
+            seed: seed.wrapping_mul(31).wrapping_add(logs.len() as u64),
+        };
+        logs.insert(name, truth);
+    };
+    plan(HEALTHY.into(), healthy, healthy_cycles, beginning);
+    for (index, (_, leak)) in later.into_iter().enumerate() {
+        plan(format!("later-{}", index + 1), leak, 20 + (index * 7 + seed as usize) % 11, Beginning::AtWork);
+    }
+    logs
+}
+
+impl Truth {
+    /// Writes a log line by line, beginning with the header; whether the machine stayed finite.
+    ///
+    /// # Errors
+    /// Those of `write`.
+    pub fn write_log<E>(
+        &self,
+        log: &LogTruth,
+        mut write: impl FnMut(&str) -> Result<(), E>,
+    ) -> Result<bool, E> {
+        let timeline =
+            Timeline::plan(&self.machine.duty, log.cycles, log.beginning, &mut Noise::new(log.seed, 5));
+        let day = Day { leak: log.leak, temperature_c: log.temperature_c, force: log.force };
+        let mut noise = Noise::new(log.seed, 6);
+        let mut written = write(&self.format.header());
+        let mut line = String::new();
+        let finite = run(&self.machine, &day, &timeline, self.format.nth, |sample| {
+            if written.is_ok() {
+                line.clear();
+                self.format.row(sample, &mut noise, &mut line);
+                written = write(&line);
+            }
+        });
+        written.map(|()| finite)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn log_text(truth: &Truth, log: &LogTruth) -> String {
+        let mut text = String::new();
+        let finite = truth.write_log(log, |line| {
+            text.push_str(line);
+            Ok::<(), std::convert::Infallible>(())
+        });
+        assert_eq!(finite, Ok(true));
+        text
+    }
+
+    #[test]
+    fn a_case_is_the_same_for_a_seed_and_its_logs_to_the_byte() {
+        let case = draw(3, 1, LoggedSignals::Position).unwrap();
+        assert_eq!(draw(3, 1, LoggedSignals::Position).unwrap(), case);
+        assert_ne!(draw(4, 1, LoggedSignals::Position).unwrap().truth.machine, case.truth.machine);
+        assert_ne!(draw(3, 2, LoggedSignals::Position).unwrap().truth.machine, case.truth.machine);
+        let short = LogTruth { cycles: 1, ..case.truth.logs["later-1"].clone() };
+        let text = log_text(&case.truth, &short);
+        assert_eq!(log_text(&case.truth, &short), text);
+        let other = LogTruth { seed: short.seed + 1, ..short };
+        assert_ne!(log_text(&case.truth, &other), text);
+        let columns = case.truth.format.header().matches(',').count();
+        assert_eq!(columns, 3);
+        assert!(text.lines().count() > 50 && text.lines().all(|line| line.matches(',').count() == columns));
+    }
+
+    #[test]
+    fn catalogues_are_right_within_their_tolerances_and_leaks_within_what_is_asked() {
+        for number in 1..=8 {
+            let Case { sheet, truth, .. } = draw(9, number, LoggedSignals::Command).unwrap();
+            let Machine { cylinder, valve, supply, .. } = &truth.machine;
+            let within = |known: Option<f64>, true_value: f64, tolerance: f64| {
+                known.is_none_or(|known| (true_value / known - 1.0).abs() < tolerance)
+            };
+            let rated = valve.coefficient * (sheet.valve.rated_at_bar.unwrap() * 0.5e5).sqrt() * 6e4;
+            assert!(within(sheet.valve.rated_flow_lpm, rated, 0.1), "{number}: {rated} L/min, {sheet:?}");
+            assert!(within(sheet.supply.pump_flow_lpm, supply.flow_m3_per_s * 6e4, 0.1), "{sheet:?}");
+            assert!(within(sheet.cylinder.moved_mass_kg, cylinder.mass_kg, 0.2), "{sheet:?}");
+            let measures = [sheet.cylinder.bore_mm, sheet.cylinder.rod_mm, sheet.cylinder.stroke_mm];
+            let exact = [cylinder.bore_m, cylinder.rod_m, cylinder.stroke_m];
+            assert!(measures.iter().zip(exact).all(|(known, exact)| within(*known, exact * 1e3, 1e-9)));
+            assert!(measures.iter().flatten().count() >= 2, "{sheet:?}");
+            let shares: Vec<f64> =
+                truth.logs.values().map(|log| log.leak_lpm / truth.rated_flow_lpm).collect();
+            assert_eq!(shares.iter().filter(|share| **share <= 5e-4).count(), 2, "{shares:?}");
+            assert!(
+                (4..=5).contains(&shares.len()) && shares.iter().all(|share| *share <= 0.15),
+                "{shares:?}"
+            );
+        }
+    }
+}

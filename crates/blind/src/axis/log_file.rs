@@ -1,0 +1,124 @@
+//! Logs as controllers and loggers write them: CSV with units and names of their own, noise, and so many digits.
+
+use std::fmt::Write;
+
+use seepd_sim::noise::Noise;
+use serde::{Deserialize, Serialize};
+
+use super::draw::Choice;
+use super::run::Sample;
+
+/// Periods from a row to the next that loggers offer, s.
+const ROWS_S: [f64; 8] = [0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3, 5e-3, 10e-3, 20e-3];
+
+/// Which signals are logged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LoggedSignals {
+    /// The valve command alone.
+    Command,
+    /// Command, position demand and position.
+    Position,
+}
+
+/// How a log is written.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LogFormat {
+    /// Which signals it has.
+    pub signals: LoggedSignals,
+    /// Its columns.
+    pub style: Style,
+    /// Ticks of the controller from a row to the next.
+    pub nth: usize,
+    /// Standard deviation of the command's noise, share of full command.
+    pub command_noise: f64,
+    /// Standard deviation of the position's noise, m.
+    pub position_noise_m: f64,
+}
+
+/// Names and units of the columns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Style {
+    /// SI units.
+    Plain,
+    /// %, mm and ms, units in brackets.
+    Percent,
+    /// V and mm, units behind the names.
+    Volt,
+}
+
+/// Time, command, demand and position of a style: names, factor from SI, decimals.
+type Columns = [(&'static str, f64, usize); 4];
+
+impl Style {
+    fn columns(self) -> Columns {
+        match self {
+            Style::Plain => [("t_s", 1.0, 5), ("command", 1.0, 5), ("demand", 1.0, 6), ("position", 1.0, 6)],
+            Style::Percent => [
+                ("Time [ms]", 1e3, 2),
+                ("Valve command [%]", 1e2, 3),
+                ("Set position [mm]", 1e3, 3),
+                ("Actual position [mm]", 1e3, 3),
+            ],
+            Style::Volt => {
+                [("time_s", 1.0, 5), ("valve_cmd_V", 10.0, 4), ("x_set_mm", 1e3, 3), ("x_act_mm", 1e3, 3)]
+            }
+        }
+    }
+}
+
+impl LogFormat {
+    /// Draws how a machine's logs of this period are written.
+    pub(super) fn draw(
+        signals: LoggedSignals,
+        task_s: f64,
+        period_s: f64,
+        healthy_s: f64,
+        noise: &mut Noise,
+    ) -> Self {
+        // A hundred rows a cycle and more, half a million a log and less.
+        let (low, high) = ((100.0 / period_s).max(50.0), (5e5 / healthy_s).clamp(50.0, 4000.0));
+        let wanted_s = 1.0 / noise.log_uniform(low, high.max(low));
+        let nth = |row_s: f64| (row_s / task_s).round();
+        // The longest usual period of rows that the task's fits into.
+        let row_s = ROWS_S.iter().rev().find(|row_s| {
+            **row_s <= wanted_s.max(task_s) * (1.0 + 1e-9)
+                && (nth(**row_s) * task_s / **row_s - 1.0).abs() < 1e-9
+        });
+        LogFormat {
+            signals,
+            style: [Style::Plain, Style::Plain, Style::Percent, Style::Volt][noise.index(4)],
+            nth: row_s.map_or(1, |row_s| nth(*row_s) as usize),
+            command_noise: noise.log_uniform(1e-3, 5e-3),
+            position_noise_m: noise.log_uniform(5e-6, 5e-5),
+        }
+    }
+
+    /// The first line.
+    pub fn header(&self) -> String {
+        let names: Vec<&str> = self.columns().map(|(name, ..)| name).collect();
+        names.join(",") + "\n"
+    }
+
+    /// Appends a sample's line.
+    pub(super) fn row(&self, sample: Sample, noise: &mut Noise, line: &mut String) {
+        let command = sample.command + noise.normal(self.command_noise);
+        let position_m = sample.position_m + noise.normal(self.position_noise_m);
+        let values = [sample.time_s, command, sample.demand_m, position_m];
+        for (index, ((_, factor, decimals), value)) in self.columns().zip(values).enumerate() {
+            let comma = if index == 0 { "" } else { "," };
+            // A string takes whatever is written.
+            let _ = write!(line, "{comma}{:.decimals$}", value * factor);
+        }
+        line.push('\n');
+    }
+
+    fn columns(&self) -> impl Iterator<Item = (&'static str, f64, usize)> {
+        let count = match self.signals {
+            LoggedSignals::Command => 2,
+            LoggedSignals::Position => 4,
+        };
+        self.style.columns().into_iter().take(count)
+    }
+}
