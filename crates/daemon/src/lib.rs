@@ -3,6 +3,7 @@
 //! Data flow one way: a log or a bus yields samples, the monitor turns them into events, [`sink`]s turn events into text and files.
 //! Files that are written, the terminal, sockets and clocks are known here and nowhere else.
 
+pub mod advice;
 mod baseline_file;
 pub mod cli;
 #[cfg(feature = "live")]

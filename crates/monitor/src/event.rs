@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use crate::baseline::trend::TimeTo;
 use crate::baseline::{CusumFinding, LoadKnowledge};
 use crate::energy::Loss;
+use crate::pipeline::observer::Observation;
 
 /// L/min in a m³/s.
 pub const LPM_PER_M3_PER_S: f64 = 60_000.0;
@@ -305,10 +306,14 @@ pub struct Summary {
     pub flag: Flag,
     /// Why there is no estimate at the end.
     pub reason: Option<&'static str>,
-    /// Median of the last estimates, m².
+    /// Median of the last estimates, m²; null where fewer than [`LEAST_ESTIMATES`](crate::pipeline::LEAST_ESTIMATES) cycles, or fewer than half, have one.
     pub leak_area_m2: Option<f64>,
     /// The same as a flow at the reference pressure difference, L/min.
     pub leak_flow_lpm: Option<f64>,
+    /// Why there is no size; null where there is one.
+    pub size_withheld: Option<&'static str>,
+    /// What the command looks like where there is no size; null where there is one.
+    pub observed: Option<Observation>,
     /// Reference pressure difference, Pa.
     pub reference_dp_pa: f64,
     /// What it costs; its fields are absent where there is no estimate.

@@ -12,6 +12,7 @@ use seepd_monitor::event::{Event, Flag, Summary};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 
 use super::reading::{BaselineArguments, ReadingArguments};
+use crate::advice::advice;
 use crate::cli::Outcome;
 use crate::config::AxisConfig;
 use crate::failure::{Code, Failure};
@@ -97,6 +98,10 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     let mut out = Printer::new(arguments, config.reference_dp_pa);
     let notes = replay_logs(arguments, &config, &mut pipeline, &mut files, &mut out)?;
     let summary = pipeline.summary();
+    let advice = summary.observed.as_ref().map(|observed| {
+        let source = config.command_source(arguments.logs.first().map(PathBuf::as_path));
+        advice(&summary, observed, &pipeline.config().duty_cycles, &source)
+    });
     if let Some((output, record)) = &files.html {
         for (record, monitor) in records.iter_mut().zip(pipeline.monitors()) {
             // One that was learned on the way.
@@ -107,6 +112,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         let page = ReportPage {
             record,
             summary: &summary,
+            advice: advice.as_deref(),
             alarm: &config.alarm,
             area_m2_per_lpm: 1.0 / pipeline.config().flow_lpm(1.0),
             operating_hours_per_year: config.operating_hours_per_year,
@@ -118,7 +124,7 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     for note in notes {
         warn(&note);
     }
-    out.summary(&summary)?;
+    out.summary(&summary, advice.as_deref())?;
     if let Some(rate) = pipeline.wrong_rate_hz()
         && summary.cycles == 0
     {
@@ -302,11 +308,11 @@ impl Printer {
         terminal::write_event(&mut self.out, event, self.colour)
     }
 
-    fn summary(&mut self, summary: &Summary) -> Result<(), Failure> {
+    fn summary(&mut self, summary: &Summary, advice: Option<&str>) -> Result<(), Failure> {
         let result = match self.format {
-            Format::Json => json::write_summary(&mut self.out, summary),
+            Format::Json => json::write_summary(&mut self.out, summary, advice),
             Format::Lines | Format::SummaryOnly => {
-                terminal::write_summary(&mut self.out, summary, self.colour)
+                terminal::write_summary(&mut self.out, summary, advice, self.colour)
             }
         };
         let result = result.and_then(|()| self.out.flush());

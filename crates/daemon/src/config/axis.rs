@@ -14,6 +14,7 @@ use seepd_signals::Signal;
 use serde::{Deserialize, Serialize};
 
 use super::{check_name, named_twice};
+use crate::advice::CommandSource;
 use crate::failure::{Code, Failure};
 
 /// An axis of the configuration: the keys at the file's top, or those of an element of `[[axes]]`. Every key has a default.
@@ -229,6 +230,13 @@ impl AxisConfig {
         }
     }
 
+    /// Where its command comes from, for advice; without a log, one is spoken of as `LOG`.
+    pub fn command_source(&self, log: Option<&Path>) -> CommandSource {
+        let mapping = self.signals.get(&Signal::Command).cloned().unwrap_or_default();
+        let log = log.map_or("LOG".to_owned(), |log| shell_word(&log.display().to_string()));
+        CommandSource { log, scale: mapping.scale, offset: mapping.offset }
+    }
+
     /// How its samples become events, with the models of [`load_models`](Self::load_models).
     pub fn monitor(&self, duty_cycles: Vec<DutyCycle>) -> MonitorConfig {
         MonitorConfig {
@@ -299,6 +307,12 @@ impl AxisConfig {
         }
         self.duty_cycles.iter().map(|duty_cycle| duty_cycle.baseline.as_deref()).collect()
     }
+}
+
+/// A text as one word of a command line.
+fn shell_word(text: &str) -> String {
+    let is_plain = |c: char| c.is_alphanumeric() || "._-/+:@".contains(c);
+    if text.chars().all(is_plain) { text.to_owned() } else { format!("'{}'", text.replace('\'', "'\\''")) }
 }
 
 /// The model that the program brings.

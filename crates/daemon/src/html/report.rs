@@ -19,6 +19,8 @@ pub struct ReportPage<'a> {
     pub record: &'a HtmlSink,
     /// What it comes to.
     pub summary: &'a Summary,
+    /// What was seen and what to do, where there is no size.
+    pub advice: Option<&'a str>,
     /// Thresholds.
     pub alarm: &'a AlarmConfig,
     /// Leak area of 1 L/min at the reference pressure difference, m².
@@ -100,6 +102,9 @@ impl ReportPage<'_> {
                 "Too few estimates in a row lie above a threshold to raise a flag.".into()
             }
             Flag::NoEstimate => format!("There is no estimate{why}."),
+            Flag::Healthy if summary.size_withheld.is_some() => {
+                "Too few cycles have an estimate for a verdict on the machine.".into()
+            }
             Flag::Healthy => "There is no leak that matters.".into(),
             Flag::Watch => "There is a leak to keep an eye on.".into(),
             Flag::Leak => "There is a leak: plan to replace the seal.".into(),
@@ -110,6 +115,7 @@ impl ReportPage<'_> {
                 span.tag style=(format!("background:{}", colour(flag))) { (flag.name().replace('_', " ")) } " " (text)
                 @if summary.highest_flag > flag { " The highest flag in this record was " (summary.highest_flag.name()) "." }
             }
+            @if let Some(advice) = self.advice { p { (advice) } }
         }
     }
 

@@ -27,6 +27,10 @@ pub struct AxisStatus {
     pub flag: Flag,
     /// Why there is no estimate.
     pub reason: Option<&'static str>,
+    /// What was seen and what to do, where there is no estimate.
+    pub advice: Option<String>,
+    /// Period at which the command repeats, where there is no estimate, s.
+    pub observed_period_s: Option<f64>,
     /// The leak's level, kept while there is no estimate.
     pub level: Flag,
     /// The highest flag since it was last acknowledged.
@@ -84,6 +88,8 @@ impl AxisStatus {
             axis: axis.into(),
             flag: Flag::NoEstimate,
             reason: Some(NO_CYCLE_YET),
+            advice: None,
+            observed_period_s: None,
             level: Flag::Healthy,
             latched: None,
             acknowledged: false,

@@ -10,6 +10,7 @@ use seepd_monitor::baseline::CusumFinding;
 use seepd_monitor::baseline::trend::TimeTo;
 use seepd_monitor::event::{CycleLine, Event, Flag, NoticeKind};
 use seepd_monitor::pipeline::{DutyCycle, Monitor, Pipeline};
+use seepd_monitor::reason::NO_CYCLE_YET;
 use seepd_signals::{Sample, Signal};
 use tokio::sync::{mpsc, watch};
 
@@ -17,6 +18,7 @@ use super::commission::BaselineRecord;
 use super::source::{Input, LiveSource};
 use super::state::{AxisState, DutyCycleState, Keeper, LastEstimate};
 use super::systemd::ENDED;
+use crate::advice::advice;
 use crate::clock::Clock;
 use crate::config::{AxisConfig, Pace};
 use crate::hub::{
@@ -28,6 +30,8 @@ use crate::sink::recording::Recorder;
 const POINT_NS: i64 = 20_000_000;
 /// Conditions are told to the hub this often, ns.
 const TELL_NS: i64 = 200_000_000;
+/// While there is no estimate the command is looked at this often, ns.
+const LOOK_NS: i64 = 10_000_000_000;
 
 /// What an axis needs beside its configuration.
 pub(super) struct AxisContext {
@@ -134,6 +138,15 @@ struct AxisReporter<'a> {
     estimate: Option<LastEstimate>,
     /// The input's last complaint, so that each is logged once.
     complaint: Option<String>,
+    advice: LiveAdvice,
+}
+
+/// What is told while there is no estimate.
+#[derive(Default)]
+struct LiveAdvice {
+    text: Option<String>,
+    period_s: Option<f64>,
+    looked_ns: Option<i64>,
 }
 
 /// What is told of the newest cycle.
@@ -169,6 +182,7 @@ impl<'a> AxisReporter<'a> {
             last: None,
             estimate: None,
             complaint: None,
+            advice: LiveAdvice::default(),
         }
     }
 
@@ -384,6 +398,22 @@ impl<'a> AxisReporter<'a> {
         }
     }
 
+    /// Looks now and then at what the command is like while there is no estimate.
+    fn look_again(&mut self, pipeline: &Pipeline) {
+        let now_ns = self.context.clock.now_ns();
+        let is_due = |looked_ns: i64| now_ns.saturating_sub(looked_ns) >= LOOK_NS;
+        let is_lost = pipeline.alarm().reason().is_some_and(|reason| reason != NO_CYCLE_YET);
+        if !is_lost || self.stale {
+            self.advice = LiveAdvice::default();
+        } else if self.advice.looked_ns.is_none_or(is_due) {
+            let observed = pipeline.observation();
+            let source = self.config.command_source(self.config.source.log.as_deref());
+            let text = advice(&pipeline.summary(), &observed, &pipeline.config().duty_cycles, &source);
+            self.advice =
+                LiveAdvice { text: Some(text), period_s: observed.period_s, looked_ns: Some(now_ns) };
+        }
+    }
+
     fn tell(&mut self, pipeline: &Pipeline, source: &LiveSource) {
         let alarm = pipeline.alarm();
         let mut health = source.health();
@@ -396,12 +426,15 @@ impl<'a> AxisReporter<'a> {
         let time_to_leak = self.time_to_leak.filter(|_| finding == CusumFinding::Leak);
         let baseline = monitors.get(self.duty_cycle).map(BaselineStatus::of).unwrap_or_default();
         let duty_cycles = monitors.iter().filter_map(DutyCycleStatus::of).collect();
-        let summary = pipeline.summary();
+        self.look_again(pipeline);
+        let (advice, observed_period_s) = (self.advice.text.clone(), self.advice.period_s);
         let fresh = &mut self.points.fresh;
         self.context.hub.update_axis(&self.config.axis, |status, view| {
             *status = AxisStatus {
                 flag: alarm.flag(),
                 reason: alarm.reason(),
+                advice,
+                observed_period_s,
                 level: alarm.level(),
                 latched: latch.latched,
                 acknowledged: latch.acknowledged,
@@ -419,9 +452,9 @@ impl<'a> AxisReporter<'a> {
                 cycle: last.map(|last| last.cycle),
                 t_last_cycle_ns: last.map(|last| last.end_ns),
                 publication_delay_s: last.and_then(|last| last.delay_s),
-                cycles: summary.cycles,
-                rejected: summary.rejected,
-                samples_rejected: summary.samples_rejected,
+                cycles: pipeline.cycles(),
+                rejected: pipeline.rejected(),
+                samples_rejected: pipeline.samples_rejected(),
                 source: health,
                 ..AxisStatus::new(&self.config.axis, self.config.reference_dp_pa)
             };

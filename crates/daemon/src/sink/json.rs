@@ -17,12 +17,21 @@ pub fn write_event(out: &mut impl Write, event: &Event<'_>) -> io::Result<()> {
     }
 }
 
+/// `seepd.summary/1` as it is written.
+#[derive(Serialize)]
+struct SummaryLine<'a> {
+    #[serde(flatten)]
+    summary: &'a Summary,
+    /// What was seen and what to do, where there is no size.
+    advice: Option<&'a str>,
+}
+
 /// Writes the last line.
 ///
 /// # Errors
 /// Writing failed.
-pub fn write_summary(out: &mut impl Write, summary: &Summary) -> io::Result<()> {
-    write_line(out, summary)
+pub fn write_summary(out: &mut impl Write, summary: &Summary, advice: Option<&str>) -> io::Result<()> {
+    write_line(out, &SummaryLine { summary, advice })
 }
 
 fn write_line(out: &mut impl Write, value: &impl Serialize) -> io::Result<()> {

@@ -157,6 +157,13 @@ fn register_cycles(registry: &mut Registry, axes: &[AxisStatus]) {
         "From the sample that closed the last cycle to its publication",
         delays,
     );
+    let periods = axes.iter().filter_map(|axis| axis.observed_period_s.map(|period_s| (axis, period_s)));
+    gauges(
+        registry,
+        "observed_period_s",
+        "Period at which the command repeats, where there is no estimate",
+        periods,
+    );
     let cycles = axes.iter().map(|axis| (of_axis(axis), axis.cycles));
     counters(registry, "cycles", "Cycles with an estimate", cycles);
     let by_reason = |what: fn(&AxisStatus) -> &std::collections::BTreeMap<&'static str, u64>| {

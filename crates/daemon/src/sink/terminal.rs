@@ -121,11 +121,16 @@ fn write_flag(out: &mut impl Write, event: &FlagEvent<'_>, colour: Colour) -> io
     )
 }
 
-/// Writes the summary.
+/// Writes the summary, and what to do where there is no size as the last line.
 ///
 /// # Errors
 /// Writing failed.
-pub fn write_summary(out: &mut impl Write, summary: &Summary, colour: Colour) -> io::Result<()> {
+pub fn write_summary(
+    out: &mut impl Write,
+    summary: &Summary,
+    advice: Option<&str>,
+    colour: Colour,
+) -> io::Result<()> {
     writeln!(out)?;
     let rejected: u64 = summary.rejected.values().sum();
     write!(
@@ -155,6 +160,8 @@ pub fn write_summary(out: &mut impl Write, summary: &Summary, colour: Colour) ->
             mm2(area),
             words(summary.highest_flag.name())
         )?;
+    } else if summary.highest_flag > Flag::Healthy {
+        writeln!(out, "leak: no size; highest flag: {}", words(summary.highest_flag.name()))?;
     }
     if let Some(loss) = &summary.loss {
         let (power, energy) = (loss.leak_power_w, loss.leak_energy_kwh_per_year);
@@ -162,6 +169,9 @@ pub fn write_summary(out: &mut impl Write, summary: &Summary, colour: Colour) ->
     }
     if !summary.samples_rejected.is_empty() {
         writeln!(out, "samples: {} read; {}", summary.samples, listed(&summary.samples_rejected))?;
+    }
+    if let Some(advice) = advice {
+        writeln!(out, "{advice}")?;
     }
     Ok(())
 }

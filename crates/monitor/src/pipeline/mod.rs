@@ -6,8 +6,10 @@
 
 mod arbiter;
 mod monitor;
+pub mod observer;
 mod progress;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use seepd_features::{Counts, ReaderError, Reason};
@@ -18,10 +20,11 @@ use crate::alarm::{Alarm, AlarmConfig};
 use crate::baseline::{BaselineError, CusumFinding};
 use crate::energy::Loss;
 use crate::event::{Event, LPM_PER_M3_PER_S, Summary};
-use crate::reason::{NO_CYCLE_FOUND, STALE};
+use crate::reason::{NO_CYCLE_FOUND, STALE, TOO_FEW_ESTIMATES};
 
 use arbiter::Arbiter;
 pub use monitor::{DutyCycle, Monitor};
+use observer::{CommandObserver, Observation};
 use progress::Progress;
 
 /// What the pipeline needs to know.
@@ -45,6 +48,8 @@ pub const REFERENCE_DP_PA: f64 = 7e6;
 pub const HOURS_PER_YEAR: f64 = 8760.0;
 /// Periods without a cycle after which there is no estimate.
 const PATIENCE_PERIODS: f64 = 3.0;
+/// Fewest estimates that a summary's size is the median of.
+pub const LEAST_ESTIMATES: u64 = 3;
 
 /// A machine axis's way from samples to events.
 pub struct Pipeline {
@@ -54,6 +59,7 @@ pub struct Pipeline {
     /// The longest duty cycle's period, s.
     period_s: f64,
     progress: Progress,
+    observer: CommandObserver,
 }
 
 impl Pipeline {
@@ -69,6 +75,7 @@ impl Pipeline {
             config,
             monitors,
             progress: Progress::default(),
+            observer: CommandObserver::default(),
         })
     }
 
@@ -91,6 +98,7 @@ impl Pipeline {
     #[inline]
     pub fn push(&mut self, sample: &Sample, sink: &mut impl FnMut(&Event<'_>)) {
         self.progress.note_time(sample.time_ns);
+        self.observer.take(sample);
         if let [Monitor { reader, state, estimator }] = self.monitors.as_mut_slice() {
             let (config, progress) = (&self.config, &mut self.progress);
             reader
@@ -225,8 +233,57 @@ impl Pipeline {
 
     /// What it all comes to.
     pub fn summary(&self) -> Summary {
-        let (progress, counts) = (&self.progress, self.counts());
-        let samples_rejected = [
+        let progress = &self.progress;
+        let is_sized = self.is_sized();
+        let of_duty_cycle = |monitor: &Monitor| Some((monitor.name()?.to_owned(), monitor.cycles()));
+        let area = progress.recent_area_m2().filter(|_| is_sized);
+        Summary {
+            schema: "seepd.summary/1",
+            axis: self.config.axis.to_owned(),
+            samples: self.counts().samples,
+            samples_rejected: self.samples_rejected(),
+            cycles: self.cycles(),
+            duty_cycles: self.monitors.iter().filter_map(of_duty_cycle).collect(),
+            rejected: self.rejected(),
+            flag: progress.alarm.flag(),
+            reason: progress.alarm.reason(),
+            leak_area_m2: area,
+            leak_flow_lpm: area.map(|area| self.config.flow_lpm(area)),
+            size_withheld: (!is_sized).then_some(TOO_FEW_ESTIMATES),
+            observed: (!is_sized).then(|| self.observation()),
+            loss: area.map(|area| self.config.loss(self.config.flow_lpm(area))),
+            reference_dp_pa: self.config.reference_dp_pa,
+            highest_flag: progress.alarm.highest(),
+            duration_s: progress
+                .first_ns
+                .map_or(0.0, |first| (progress.newest_ns.saturating_sub(first)) as f64 / 1e9),
+        }
+    }
+
+    /// Whether enough cycles have an estimate for a size of the record's leak: a few, and half of all.
+    fn is_sized(&self) -> bool {
+        self.progress.valid >= LEAST_ESTIMATES && 2 * self.progress.valid >= self.progress.cycle
+    }
+
+    /// What the command looks like by itself. Looking for its period takes a millisecond.
+    pub fn observation(&self) -> Observation {
+        Observation { wrong_rate_hz: self.wrong_rate_hz(), ..self.observer.observation() }
+    }
+
+    /// Cycles with an estimate.
+    pub fn cycles(&self) -> u64 {
+        self.progress.valid
+    }
+
+    /// Cycles without one, by reason.
+    pub fn rejected(&self) -> BTreeMap<&'static str, u64> {
+        self.progress.rejections()
+    }
+
+    /// Samples left out or filled in, by reason.
+    pub fn samples_rejected(&self) -> BTreeMap<&'static str, u64> {
+        let counts = self.counts();
+        let by_reason = [
             ("bridged", counts.bridged),
             ("duplicate", counts.duplicate),
             ("missing", counts.missing),
@@ -235,27 +292,7 @@ impl Pipeline {
             ("out_of_range", counts.out_of_range),
             ("wrong_rate", counts.wrong_rate),
         ];
-        let of_duty_cycle = |monitor: &Monitor| Some((monitor.name()?.to_owned(), monitor.cycles()));
-        let area = progress.recent_area_m2();
-        Summary {
-            schema: "seepd.summary/1",
-            axis: self.config.axis.to_owned(),
-            samples: counts.samples,
-            samples_rejected: samples_rejected.into_iter().filter(|(_, count)| *count > 0).collect(),
-            cycles: progress.valid,
-            duty_cycles: self.monitors.iter().filter_map(of_duty_cycle).collect(),
-            rejected: progress.rejections(),
-            flag: progress.alarm.flag(),
-            reason: progress.alarm.reason(),
-            leak_area_m2: area,
-            leak_flow_lpm: area.map(|area| self.config.flow_lpm(area)),
-            loss: area.map(|area| self.config.loss(self.config.flow_lpm(area))),
-            reference_dp_pa: self.config.reference_dp_pa,
-            highest_flag: progress.alarm.highest(),
-            duration_s: progress
-                .first_ns
-                .map_or(0.0, |first| (progress.newest_ns.saturating_sub(first)) as f64 / 1e9),
-        }
+        by_reason.into_iter().filter(|(_, count)| *count > 0).collect()
     }
 }
 

@@ -104,6 +104,7 @@ function showCondition(axis) {
   byId("condition").style.setProperty("--state", "var(--" + axis.flag + ")");
   byId("flag").textContent = FLAGS[axis.flag];
   byId("reason").textContent = axis.reason ? told(axis.reason) : axis.cycles + " cycles with an estimate";
+  byId("advice").textContent = axis.advice || "";
   const known = axis.flag !== "no_estimate";
   byId("flow").textContent = known ? number(axis.leak_flow_lpm) : "–";
   const low = flowOf(axis, axis.interval90_m2 ? axis.interval90_m2[0] : null);
