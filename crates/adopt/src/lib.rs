@@ -1,9 +1,12 @@
 #![doc = include_str!("../README.md")]
 
+pub mod adoption;
 pub mod controller;
+pub mod drive;
 pub mod duty_cycle;
 pub mod machine_data;
 pub mod plant;
 pub mod recording;
 pub mod signals;
 pub mod strokes;
+pub mod training;

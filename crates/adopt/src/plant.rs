@@ -26,6 +26,12 @@ const WIDEST_OVERLAP: f64 = 0.15;
 /// Longest task period that is simulated, s: a slower log has every n-th command of a faster controller.
 const LONGEST_TASK_S: f64 = 4e-3;
 
+/// Ticks of a cycle that are enough, and the shortest tick, s.
+const TICKS: f64 = 10_000.0;
+const SHORTEST_TICK_S: f64 = 5e-4;
+/// Steps of the plant in a tick, at least; a stiff plant takes more.
+const LEAST_STEPS: usize = 4;
+
 /// Usual tolerances of data sheets, shares of the value.
 mod tolerance {
     pub(super) const MACHINED: f64 = 0.0;
@@ -96,6 +102,8 @@ pub struct DescribedPlant {
 pub struct LoggedSize {
     /// Time from one sample to the next, s.
     pub log_period_s: f64,
+    /// Time of a duty cycle, s.
+    pub period_s: f64,
     /// Lowest and highest position, m.
     pub positions_m: Option<(f64, f64)>,
     /// Speed over command where the machine moves, m/s at full command.
@@ -202,7 +210,6 @@ fn check(data: &MachineData) -> Result<(), DataError> {
         ("cylinder.rod_mm", data.cylinder.rod_mm),
         ("cylinder.stroke_mm", data.cylinder.stroke_mm),
         ("cylinder.moved_mass_kg", data.cylinder.moved_mass_kg),
-        ("cylinder.hose_length_m", data.cylinder.hose_length_m),
         ("cylinder.hose_bore_mm", data.cylinder.hose_bore_mm),
         ("valve.rated_flow_lpm", data.valve.rated_flow_lpm),
         ("valve.rated_at_bar", data.valve.rated_at_bar.map(Datum::Bare)),
@@ -219,6 +226,7 @@ fn check(data: &MachineData) -> Result<(), DataError> {
         }
     }
     let within = [
+        ("cylinder.hose_length_m", data.cylinder.hose_length_m.map(Datum::value), 0.0, 1000.0),
         ("valve.overlap_percent", data.valve.overlap_percent.map(Datum::value), 0.0, 50.0),
         (
             "controller.dead_band_compensation_percent",
@@ -460,13 +468,13 @@ impl Describer {
         c.velocity_feed_forward_s_per_m = given.velocity_feed_forward_s_per_m.map_or(0.0, Datum::value);
         c.dead_band_compensation =
             given.dead_band_compensation_percent.map_or(0.0, |percent| percent.value() / 100.0);
-        let task_s =
-            given.task_period_ms.map_or(LONGEST_TASK_S.min(logged.log_period_s), |ms| ms.value() * 1e-3);
-        c.log_every = (logged.log_period_s / task_s.min(LONGEST_TASK_S)).ceil().max(1.0) as usize;
-        if logged.log_period_s <= task_s {
-            c.log_every = 1;
-        }
+        let task_s = given.task_period_ms.map_or(LONGEST_TASK_S, |ms| ms.value() * 1e-3);
+        // A loop of 10 1/s does not feel whether its task takes half a millisecond or four; a simulation of a long cycle does.
+        let fine_s = (logged.period_s / TICKS).clamp(SHORTEST_TICK_S, LONGEST_TASK_S);
+        let tick_s = task_s.clamp(fine_s, LONGEST_TASK_S);
+        c.log_every = (logged.log_period_s / tick_s - 1e-6).ceil().max(1.0) as usize;
         c.period_s = logged.log_period_s / c.log_every as f64;
+        c.steps_per_period = LEAST_STEPS;
     }
 }
 
@@ -489,6 +497,8 @@ pub(crate) fn speed_of(cap_m2: f64, annulus_m2: f64, supply_pa: f64, valve_m3_pe
 
 #[cfg(test)]
 mod tests {
+    use seepd_sim::Controller;
+
     use super::*;
 
     /// The nominal press's own data sheet gives the nominal press.
@@ -498,7 +508,9 @@ mod tests {
                     [valve]\nrated_flow_lpm = 96\nrated_at_bar = 70\n[supply]\npump_flow_lpm = 90\nrelief_bar = 160\nreturn_bar = 1\n\
                     [controller]\nkp_per_m = 12\nki_per_m_s = 15\n";
         let data = MachineData::from_toml(text).unwrap();
-        let described = describe(&data, &LoggedSize { log_period_s: 1e-3, ..LoggedSize::default() }).unwrap();
+        let described =
+            describe(&data, &LoggedSize { log_period_s: 1e-3, period_s: 10.0, ..LoggedSize::default() })
+                .unwrap();
         let nominal = MachineSpec::default();
         for info in seepd_sim::PlantParameters::ALL {
             let (given, wanted) =
@@ -506,7 +518,8 @@ mod tests {
             let tolerance = 2e-3 * wanted.abs().max(f64::MIN_POSITIVE);
             assert!((given - wanted).abs() <= tolerance, "{}: {given} {wanted}", info.key);
         }
-        assert_eq!(described.spec.controller, nominal.controller);
+        let controller = Controller { steps_per_period: 10, ..described.spec.controller };
+        assert_eq!(controller, nominal.controller);
         assert_eq!(described.values["valve_m3_per_s_sqrt_pa"].origin, Origin::User);
         assert_eq!(described.values["bulk_modulus_pa"].origin, Origin::Default);
     }
@@ -516,7 +529,7 @@ mod tests {
         let refused = |text: &str, logged: LoggedSize| {
             describe(&MachineData::from_toml(text).unwrap(), &logged).unwrap_err().to_string()
         };
-        let slow = LoggedSize { log_period_s: 1e-3, ..LoggedSize::default() };
+        let slow = LoggedSize { log_period_s: 1e-3, period_s: 10.0, ..LoggedSize::default() };
         let rod = refused("[cylinder]\nbore_mm = 40\nrod_mm = 63\n", slow);
         assert!(rod.contains("exchanged"), "{rod}");
         let longer = LoggedSize { positions_m: Some((0.0, 0.9)), ..slow };

@@ -96,7 +96,7 @@ pub fn nominal_gap<A: SimulatedAxis>(record: &Record, spec: &A) -> BTreeMap<&'st
 }
 
 /// Cycles that are fitted to, and every third, which is held out.
-fn split(record: &Record) -> (Vec<usize>, Vec<usize>) {
+pub(crate) fn split(record: &Record) -> (Vec<usize>, Vec<usize>) {
     (0..record.cycles.len()).partition(|cycle| cycle % 3 != 2)
 }
 

@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+pub mod calibration;
 pub mod diagnosis;
 mod electric;
 mod fit;
@@ -14,6 +15,7 @@ mod shrink;
 mod simulate;
 pub mod simulated_axis;
 
+pub use calibration::{Calibration, calibrate};
 pub use diagnosis::{DiagnosisSettings, cannot_tell, diagnose, nominal_gap};
 pub use record::{Log, Mismatch, Record, RecordError, Shortage};
 pub use report::Diagnosis;

@@ -32,6 +32,11 @@ const RETURN_PRESSURE_PA: (f64, f64) = (2.5e6, 2e5);
 /// Largest leak that is fitted, and its unit in the fit, m².
 const LEAK_M2: (f64, f64) = (3e-5, 1e-7);
 
+/// The prior of a parameter whose bounds the file gives: one who gives wide bounds knows little.
+fn prior_within((low, high): (f64, f64), usual: f64) -> f64 {
+    usual.max(0.5 * (high / low.max(f64::MIN_POSITIVE)).ln())
+}
+
 /// Time constants after which the integrator's start is forgotten.
 const FORGOTTEN: f64 = 3.0;
 
@@ -51,12 +56,13 @@ impl SimulatedAxis for MachineSpec {
     fn calibrated_parameters(&self) -> Vec<CalibratedParameter> {
         let by_factor = BY_FACTOR.iter().filter_map(|(key, low, high, sigma)| {
             let nominal = self.plant.get(key).filter(|value| *value > 0.0)?;
+            let given = self.bounds_of(key);
             Some(CalibratedParameter {
                 key,
                 symbol: symbol_of(key),
-                bounds: self.bounds_of(key).unwrap_or((nominal * low, nominal * high)),
+                bounds: given.unwrap_or((nominal * low, nominal * high)),
                 scale: Scale::Logarithmic,
-                sigma: Some(*sigma),
+                sigma: Some(given.map_or(*sigma, |bounds| prior_within(bounds, *sigma))),
             })
         });
         let (most, sigma) = RETURN_PRESSURE_PA;

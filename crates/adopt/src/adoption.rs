@@ -1,0 +1,391 @@
+//! From a recording and machine data to the machine's plant: described, given its duty cycle, calibrated.
+
+use std::collections::BTreeMap;
+
+use seepd_gap::{Calibration, Log, Record, RecordError, calibrate};
+use seepd_signals::Signal;
+use seepd_sim::{MachineSpec, SpecError};
+
+use crate::controller::{FittedGains, fit_gains};
+use crate::drive::{
+    Asked, asked_by_command, asked_by_position, load_by_tick, load_corners, planned, plant_speed,
+    speed_over_command,
+};
+use crate::duty_cycle::FoundCycle;
+use crate::machine_data::MachineData;
+use crate::plant::{DataError, DescribedPlant, LoggedSize, Origin, PlantValue, describe};
+use crate::recording::Recording;
+use crate::strokes::{noise_of, quantile, range};
+
+/// Cycles that the calibration is made from.
+const CALIBRATED_ON: usize = 24;
+/// Iterations of the calibration.
+const ITERATIONS: usize = 10;
+/// Share of the command's variance that a control law has to explain for its gains to be taken.
+const EXPLAINED: f64 = 0.9;
+/// A parameter that keeps this share of its tolerance was not told by the log.
+const NOT_TOLD: f64 = 0.85;
+/// Least tolerance of a fitted parameter, share: the plant is not the machine.
+const LEAST_TOLERANCE: f64 = 0.01;
+/// Largest tolerance that training draws, share to either side.
+const LARGEST_TOLERANCE: f64 = 0.30;
+/// Room for a position that does not fit the stroke, share of the stroke.
+const POSITION_ROOM: f64 = 0.02;
+/// A rest of the command, over its range, from which the demand that was found is remarked on.
+const POOR: f64 = 0.03;
+/// A uniform distribution of this half width has the standard deviation of 1.
+const UNIFORM: f64 = 1.732_050_8;
+
+/// A machine as adopted: everything that training needs.
+#[derive(Debug, Clone)]
+pub struct Adoption {
+    /// The plant, with its duty cycle and without a leak.
+    pub spec: MachineSpec,
+    /// Where each plant value comes from, and how well it is known.
+    pub values: BTreeMap<&'static str, PlantValue>,
+    /// Gains that were read off the log.
+    pub gains: Option<FittedGains>,
+    /// How the demand was come by.
+    pub demand: DemandOrigin,
+    /// RMS of the command that the demand leaves unexplained, over its range, where it was looked for.
+    pub demand_rest: Option<f64>,
+    /// What calibration showed; `None` where the log has no position.
+    pub calibration: Option<Calibration<MachineSpec>>,
+    /// Leak that the calibration found in this log, m²; the plant has none.
+    pub leak_area_m2: Option<f64>,
+    /// Added to the log's positions so that they lie within the stroke, m.
+    pub position_offset_m: f64,
+    /// Standard deviation of the command's noise.
+    pub noise: f64,
+    /// Standard deviation of the load from cycle to cycle, share of its range; `None` where the log has no load.
+    pub load_spread: Option<f64>,
+    /// What to know, one line each.
+    pub remarks: Vec<String>,
+}
+
+/// How a demand was come by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DemandOrigin {
+    /// It is in the log.
+    Log,
+    /// The control law, solved for the error at the logged position.
+    Position,
+    /// The one under which the simulated machine gives the logged command.
+    Command,
+}
+
+/// Why a machine cannot be adopted from what was found.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum AdoptionError {
+    /// Data that contradict each other or the log.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// Command and position do not belong together.
+    #[error(
+        "the position does not move with the command (their correlation is {correlation:.2}): are both of this axis, and is the command's \
+         sign right? A command that extends is positive; `scale = -1` turns it round"
+    )]
+    NotTogether {
+        /// Correlation of command and speed.
+        correlation: f64,
+    },
+    /// The plant that came out is none.
+    #[error("no plant could be made of these data: {0}")]
+    Plant(#[from] SpecError),
+    /// The calibration cannot use the log.
+    #[error("the log cannot be laid beside a simulation: {0}")]
+    Record(#[from] RecordError),
+}
+
+/// Least correlation of command and speed.
+const TOGETHER: f64 = 0.5;
+
+/// Adopts a machine: describes it, gives it the log's duty cycle, and calibrates it where the log has its position.
+///
+/// # Errors
+/// [`AdoptionError`] where data and log are not of one machine.
+pub fn adopt(
+    recording: &Recording,
+    found: &FoundCycle,
+    data: &MachineData,
+) -> Result<Adoption, AdoptionError> {
+    let log_period_s = 1.0 / recording.rate_hz;
+    let of_log = |signal| found.mean_of(recording, signal, log_period_s);
+    let positions = recording.log.get(Signal::Position).or(recording.log.get(Signal::Demand));
+    let speed = match (of_log(Signal::Command), of_log(Signal::Position).or(of_log(Signal::Demand))) {
+        (Some(command), Some(position)) => {
+            together(&command, &position)?;
+            speed_over_command(&command, &position, log_period_s)
+        }
+        _ => None,
+    };
+    let logged = LoggedSize {
+        log_period_s,
+        period_s: found.period_s,
+        positions_m: positions
+            .map(|x| (quantile(x.iter().copied(), 0.001), quantile(x.iter().copied(), 0.999))),
+        speed_m_per_s: speed,
+    };
+    let described = describe(data, &logged)?;
+    Adopter { recording, found, described, remarks: Vec::new() }.adopt(&logged)
+}
+
+/// Checks that the piston moves as the valve is opened.
+fn together(command: &[f64], position: &[f64]) -> Result<(), AdoptionError> {
+    let ticks = command.len();
+    let speed: Vec<f64> =
+        (0..ticks).map(|tick| position[(tick + 1) % ticks] - position[(tick + ticks - 1) % ticks]).collect();
+    let (mut uv, mut uu, mut vv) = (0.0, 0.0, 0.0);
+    for (u, v) in command.iter().zip(&speed) {
+        uv += u * v;
+        uu += u * u;
+        vv += v * v;
+    }
+    let correlation = uv / (uu * vv).sqrt().max(f64::MIN_POSITIVE);
+    if correlation < TOGETHER { Err(AdoptionError::NotTogether { correlation }) } else { Ok(()) }
+}
+
+struct Adopter<'a> {
+    recording: &'a Recording,
+    found: &'a FoundCycle,
+    described: DescribedPlant,
+    remarks: Vec<String>,
+}
+
+impl Adopter<'_> {
+    fn adopt(mut self, logged: &LoggedSize) -> Result<Adoption, AdoptionError> {
+        self.remarks.append(&mut self.described.remarks);
+        let mut spec = self.described.spec.clone();
+        let tick_s = spec.controller.period_s;
+        let offset_m = self.position_offset_m(&spec, logged);
+        let mean_of = |signal| self.found.mean_of(self.recording, signal, tick_s);
+        let shifted = |values: Option<Vec<f64>>| {
+            values.map(|values| values.iter().map(|x| x + offset_m).collect::<Vec<f64>>())
+        };
+        let command = mean_of(Signal::Command).unwrap_or_default();
+        let (position, demand) = (shifted(mean_of(Signal::Position)), shifted(mean_of(Signal::Demand)));
+        let largest_n = spec.plant.cap_area_m2 * spec.plant.relief_pressure_pa;
+        let load = load_corners(mean_of(Signal::Load).as_deref(), self.described.weight_n, largest_n, tick_s);
+        let load_n = load_by_tick(&load, command.len(), tick_s);
+        let gains = self.gains(&mut spec, &command, demand.as_deref(), position.as_deref());
+        let (asked, origin) = match (demand, &position) {
+            (Some(demand_m), _) => (Asked { demand_m, rest: None, shrunk: 1.0 }, DemandOrigin::Log),
+            (None, Some(position)) => (asked_by_position(&spec, &command, position), DemandOrigin::Position),
+            (None, None) => (asked_by_command(&spec, &command, &load_n), DemandOrigin::Command),
+        };
+        self.remark_on(&asked);
+        spec.plant.valve_m3_per_s_sqrt_pa *= asked.shrunk;
+        spec.cycle = planned(self.found, &asked.demand_m, &command, load, tick_s);
+        let stroke_m = spec.plant.stroke_m;
+        spec.cycle.moves.iter_mut().for_each(|stroke| stroke.to_m = stroke.to_m.clamp(0.0, stroke_m));
+        let mut spec = spec.with_stable_steps();
+        spec.check()?;
+        let mut values = self.described.values.clone();
+        let calibration = if position.is_some() { Some(self.calibrated(&spec, offset_m)?) } else { None };
+        let mut leak_area_m2 = None;
+        if let Some(calibration) = &calibration {
+            leak_area_m2 = Some(calibration.machine.plant.leak_area_m2);
+            spec = learned(calibration, &mut values);
+        }
+        spec.bounds.clear();
+        Ok(Adoption {
+            noise: self.recording.log.get(Signal::Command).map_or(0.0, noise_of),
+            load_spread: self.load_spread(),
+            spec: spec.with_stable_steps(),
+            values,
+            gains,
+            demand: origin,
+            demand_rest: asked.rest,
+            calibration,
+            leak_area_m2,
+            position_offset_m: offset_m,
+            remarks: self.remarks,
+        })
+    }
+
+    /// What has to be added to the log's positions for them to lie within the stroke.
+    fn position_offset_m(&mut self, spec: &MachineSpec, logged: &LoggedSize) -> f64 {
+        let Some((low, high)) = logged.positions_m else { return 0.0 };
+        let (stroke, room) = (spec.plant.stroke_m, POSITION_ROOM * spec.plant.stroke_m);
+        if low >= -0.1 * room && high <= stroke + 0.1 * room {
+            return 0.0;
+        }
+        let offset = if high - low + 2.0 * room > stroke { 0.5 * (stroke - low - high) } else { room - low };
+        self.remarks.push(format!(
+            "the log's positions lie between {:.1} and {:.1} mm, the stroke between 0 and {:.1}: {:.1} mm are added to position and demand",
+            1e3 * low,
+            1e3 * high,
+            1e3 * stroke,
+            1e3 * offset
+        ));
+        offset
+    }
+
+    /// The controller's gains off demand and position, where they are all there and the user gave none.
+    fn gains(
+        &mut self,
+        spec: &mut MachineSpec,
+        command: &[f64],
+        demand: Option<&[f64]>,
+        position: Option<&[f64]>,
+    ) -> Option<FittedGains> {
+        let (demand, position) = (demand?, position?);
+        let fitted = fit_gains(command, demand, position, spec.controller.period_s);
+        let Some(gains) = fitted.filter(|gains| gains.explained > EXPLAINED) else {
+            let share = 100.0 * fitted.map_or(0.0, |gains| gains.explained.max(0.0));
+            self.remarks.push(format!(
+                "error, its integral and the speeds explain only {share:.0} % of the command: the controller has a law that the plant file \
+                 does not know, or strokes run open loop"
+            ));
+            return None;
+        };
+        if !self.described.has_gains {
+            let c = &mut spec.controller;
+            (c.kp, c.ki, c.kd) = (gains.kp, gains.ki, gains.kd);
+            c.velocity_feed_forward_s_per_m = gains.feed_forward;
+            if c.dead_band_compensation == 0.0 {
+                c.dead_band_compensation = gains.compensation.min(0.5);
+            }
+        }
+        Some(gains)
+    }
+
+    fn remark_on(&mut self, asked: &Asked) {
+        if asked.shrunk < 1.0 {
+            self.remarks.push(format!(
+                "the command would move the piston further than its stroke: the valve is taken to pass {:.0} % of its flow; check \
+                 valve.rated_flow_lpm and valve.rated_at_bar",
+                100.0 * asked.shrunk
+            ));
+        }
+        if let Some(rest) = asked.rest.filter(|rest| *rest > POOR) {
+            self.remarks.push(format!(
+                "no demand makes the simulated machine give this command: {:.1} % of its range stay unexplained; gains, overlap or load are others",
+                100.0 * rest
+            ));
+        }
+    }
+
+    /// Fits the plant to the log's cycles, each laid on the plan.
+    fn calibrated(
+        &self,
+        spec: &MachineSpec,
+        offset_m: f64,
+    ) -> Result<Calibration<MachineSpec>, AdoptionError> {
+        let mut spec = spec.clone();
+        for key in seepd_sim::PlantParameters::ALL.iter().map(|info| info.key) {
+            let Some(value) = self.described.values.get(key).filter(|value| value.value > 0.0) else {
+                continue;
+            };
+            let room = room_of(value);
+            spec.bounds.insert(key.into(), [value.value / room, value.value * room]);
+        }
+        let record = Record::new(&self.laid_on_plan(&spec, offset_m), &spec)?;
+        Ok(calibrate(&record, &spec, ITERATIONS))
+    }
+
+    /// The recorded cycles one after the other, each stroke in its planned place, under the plan's demand and load.
+    fn laid_on_plan(&self, spec: &MachineSpec, offset_m: f64) -> Log {
+        let tick_s = spec.controller.period_s;
+        let ticks = (spec.cycle.period_s / tick_s).round() as usize;
+        let all = self.found.cycles.len();
+        // The first may be a warm-up, the last cut off.
+        let cycles: Vec<usize> = (usize::from(all > 4)..all - usize::from(all > 4))
+            .step_by((all / CALIBRATED_ON).max(1))
+            .collect();
+        let mut log = Log::default();
+        for signal in
+            [Signal::Command, Signal::Position, Signal::PSupply, Signal::PInlet, Signal::PCap, Signal::PRod]
+        {
+            let offset = if signal == Signal::Position { offset_m } else { 0.0 };
+            log.values[signal as usize] = cycles
+                .iter()
+                .filter_map(|cycle| self.found.cycle_of(self.recording, signal, *cycle, tick_s))
+                .flatten()
+                .map(|value| value + offset)
+                .collect();
+        }
+        let plan = |of: &dyn Fn(f64) -> f64| -> Vec<f64> {
+            let one: Vec<f64> = (0..ticks).map(|tick| of(tick as f64 * tick_s)).collect();
+            one.iter().copied().cycle().take(ticks * cycles.len()).collect()
+        };
+        log.values[Signal::Demand as usize] = plan(&|at_s| spec.cycle.demand_m(at_s));
+        log.values[Signal::Load as usize] = plan(&|at_s| spec.cycle.load_n(at_s));
+        log
+    }
+
+    fn load_spread(&self) -> Option<f64> {
+        let values = self.recording.log.get(Signal::Load)?;
+        let largest = range(values);
+        let means: Vec<f64> = (0..self.found.cycles.len())
+            .filter_map(|cycle| {
+                self.found.cycle_of(self.recording, Signal::Load, cycle, 10.0 / self.recording.rate_hz)
+            })
+            .map(|load| {
+                load.iter().copied().filter(|value| value.is_finite()).map(f64::abs).fold(0.0, f64::max)
+            })
+            .collect();
+        let middle = quantile(means.iter().copied(), 0.5);
+        let off = quantile(means.iter().map(|mean| (mean - middle).abs()), 0.5) / 0.6745;
+        Some(off / largest).filter(|spread| spread.is_finite())
+    }
+}
+
+/// Factor to either side within which the calibration may look.
+fn room_of(value: &PlantValue) -> f64 {
+    match value.origin {
+        Origin::User => 1.0 + 1.2 * value.tolerance,
+        _ if value.tolerance >= 1.0 => 4.0,
+        _ => 1.0 + 2.0 * value.tolerance,
+    }
+}
+
+/// Takes the fitted parameters and how well the log tells them; gives the machine without its leak.
+fn learned(
+    calibration: &Calibration<MachineSpec>,
+    values: &mut BTreeMap<&'static str, PlantValue>,
+) -> MachineSpec {
+    let mut spec = calibration.machine.clone();
+    spec.plant.leak_area_m2 = 0.0;
+    // Where the simulation stays further from the log than the log from itself, its intervals are too narrow.
+    let misfit = |(signal, gap): (&&'static str, &f64)| {
+        gap / calibration.floor.get(*signal).copied().unwrap_or(*gap).max(1e-9)
+    };
+    let widened = calibration.gaps[1].iter().map(misfit).fold(1.0, f64::max).clamp(1.0, 5.0);
+    for (key, fitted) in &calibration.parameters {
+        let Some(value) = values.get_mut(key) else { continue };
+        let half = 0.5 * (fitted.interval95[1] - fitted.interval95[0]) / 1.96;
+        let told = (widened * UNIFORM * half / fitted.fitted).max(LEAST_TOLERANCE);
+        let is_told = told < NOT_TOLD * value.tolerance;
+        value.value = fitted.fitted;
+        value.origin = match value.origin {
+            Origin::User => Origin::User,
+            _ if is_told => Origin::Fitted,
+            _ => Origin::NotIdentifiable,
+        };
+        value.tolerance = told.min(value.tolerance);
+    }
+    // What was held at its bound or not free keeps what is known of it.
+    for (key, value) in values.iter_mut() {
+        if let Some(fitted) = spec.plant.get(key) {
+            value.value = fitted;
+        }
+    }
+    spec
+}
+
+impl Adoption {
+    /// How far training is to vary each parameter: what is not known of it.
+    pub fn tolerances(&self) -> BTreeMap<String, f64> {
+        self.values
+            .iter()
+            .map(|(key, value)| ((*key).to_owned(), value.tolerance.min(LARGEST_TOLERANCE)))
+            .collect()
+    }
+
+    /// Speed at full command, m/s.
+    pub fn speed_m_per_s(&self) -> f64 {
+        plant_speed(&self.spec)
+    }
+}

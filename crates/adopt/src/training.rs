@@ -1,0 +1,78 @@
+//! How a model is trained for an adopted machine: spread as calibration left it, noise as measured, as many machines as there is time for.
+
+use seepd_features::Kalman;
+use seepd_sim::series::Tolerances;
+use seepd_train::{Conditions, Spread, TrainingSettings};
+
+use crate::adoption::Adoption;
+use crate::duty_cycle::FoundCycle;
+
+/// Time constant of the filter over the period: 70 ms of 10 s (the article's).
+const FILTER_SHARE: f64 = 0.007;
+/// The filter does not smooth over less than this many samples.
+const LEAST_FILTER_SAMPLES: f64 = 0.5;
+/// The article's measurement noise, by which a filter's gain is expressed.
+const KALMAN_R: f64 = 5.0;
+/// Plant steps of a cycle of the nominal press, for which the default settings take one and a half minutes on two cores.
+const NOMINAL_STEPS: f64 = 1e5;
+/// Least share of the default numbers of machines with which a model is trained.
+const LEAST_SHARE: f64 = 0.14;
+/// Room over the measured noise in training, to either side.
+const NOISE_ROOM: f64 = 3.0;
+/// Least variation of the period and of the load that training draws, shares.
+const LEAST_PERIOD: f64 = 0.01;
+const LOAD: f64 = 0.05;
+/// Largest variation of the period: the anchors' tolerance.
+const MOST_PERIOD: f64 = 0.03;
+
+/// The settings with which a model for the machine is trained.
+pub fn training_settings(adoption: &Adoption, found: &FoundCycle) -> TrainingSettings {
+    let usual = TrainingSettings::default();
+    let c = &adoption.spec.controller;
+    let steps = adoption.spec.cycle.period_s / c.period_s * c.steps_per_period as f64;
+    let share = (NOMINAL_STEPS / steps).clamp(LEAST_SHARE, 1.0);
+    let count = |machines: usize| (machines as f64 * share) as usize;
+    let tolerances = Tolerances { share: 0.05, of: adoption.tolerances() };
+    let period = (0.5 * found.period.spread_s() / found.period_s).clamp(LEAST_PERIOD, MOST_PERIOD);
+    let load = adoption.load_spread.map_or(LOAD, |spread| (2.0 * spread).clamp(0.02, 0.2));
+    let noise = adoption.noise.clamp(3e-4, 0.02);
+    TrainingSettings {
+        observations: count(usual.observations),
+        held_out: count(usual.held_out).max(256),
+        relative_machines: count(usual.relative_machines).max(160),
+        calibrated_on: count(usual.calibrated_on).max(512),
+        tested_on: count(usual.tested_on).max(128),
+        spread: Spread { parameters: tolerances.clone(), load, period },
+        noise: ((noise / NOISE_ROOM).max(1e-4), (noise * NOISE_ROOM).max(0.003)),
+        filter: Some(filter(adoption.spec.cycle.period_s, c.log_period_s())),
+        conditions: Conditions {
+            parameters: tolerances,
+            machine_load: load,
+            period,
+            ..Conditions::default()
+        },
+        ..usual
+    }
+}
+
+/// The article's filter for another period and rate: a random walk's, with the gain that gives the time constant.
+pub fn filter(period_s: f64, log_period_s: f64) -> Kalman {
+    let samples = (FILTER_SHARE * period_s / log_period_s).max(LEAST_FILTER_SAMPLES);
+    let gain = 1.0 - (-1.0 / samples).exp();
+    // The steady gain K of a random walk with process noise Q and measurement noise R: Q / R = K² / (1 − K).
+    Kalman { q: KALMAN_R * gain * gain / (1.0 - gain), r: KALMAN_R }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_filter_of_the_nominal_press_is_about_the_articles() {
+        let article = Kalman::default();
+        let ours = filter(10.0, 1e-3);
+        assert!((ours.q / article.q - 1.0).abs() < 0.05 && ours.r == article.r, "{ours:?}");
+        // At a tenth of the rate the gain is ten times as large, the time constant the same.
+        assert!(filter(10.0, 1e-2).q > 80.0 * ours.q);
+    }
+}

@@ -1,0 +1,63 @@
+//! Calibration alone: a machine's parameters and its wear fitted to a record, without a search for effects.
+
+use std::collections::BTreeMap;
+
+use crate::diagnosis::split;
+use crate::fit::{Fit, Problem, Target, free_parameters};
+use crate::record::Record;
+use crate::report::CalibratedValue;
+use crate::shrink::HeldOut;
+use crate::simulate::{BinnedSignals, binned_signals};
+use crate::simulated_axis::SimulatedAxis;
+
+/// A machine fitted to a record.
+#[derive(Debug, Clone)]
+pub struct Calibration<A> {
+    /// The machine with the fitted parameters and wear.
+    pub machine: A,
+    /// The fitted parameters by key, wear among them.
+    pub parameters: BTreeMap<&'static str, CalibratedValue>,
+    /// RMS over range of the differences on held-out cycles, by signal: before, and after.
+    pub gaps: [BTreeMap<&'static str, f64>; 2],
+    /// RMS over range of each signal's cycle-to-cycle part.
+    pub floor: BTreeMap<&'static str, f64>,
+    /// Mean of the held-out cycles in bins, by place in the record's signals.
+    pub recorded: BinnedSignals,
+    /// The fitted machine in bins, alike.
+    pub simulated: BinnedSignals,
+}
+
+/// Fits a machine's parameters, within their bounds and priors, and its wear to a record.
+pub fn calibrate<A: SimulatedAxis>(record: &Record, spec: &A, iterations: usize) -> Calibration<A> {
+    let (fitted, held_out) = split(record);
+    let problem = Problem::new(record, &fitted);
+    let start = Fit::at(&problem, spec, free_parameters(spec));
+    let fit = start.fitted_from_afar(&problem, iterations).renewed(&problem);
+    let parameters = fit
+        .free
+        .iter()
+        .zip(fit.estimates())
+        .filter_map(|(free, (fitted, interval95))| match free.target {
+            Target::Plant(parameter) => {
+                let nominal = spec.parameter(parameter.key);
+                Some((parameter.key, CalibratedValue { nominal, fitted, interval95 }))
+            }
+            Target::Effect(..) => None,
+        })
+        .collect();
+    let held_out = HeldOut { record, cycles: &held_out };
+    let by_signal = |values: &[f64]| -> BTreeMap<&'static str, f64> {
+        record.signals.iter().map(|signal| signal.name()).zip(values.iter().copied()).collect()
+    };
+    let gaps = held_out.gaps(&[spec.clone(), fit.spec.clone()]);
+    let drive = &record.cycles[held_out.cycles[0]].drive;
+    let simulated = binned_signals(std::slice::from_ref(&fit.spec), drive, &record.signals).swap_remove(0);
+    Calibration {
+        parameters,
+        gaps: [by_signal(&gaps[0]), by_signal(&gaps[1])],
+        floor: by_signal(&record.floor),
+        recorded: record.mean(held_out.cycles),
+        simulated,
+        machine: fit.spec,
+    }
+}
