@@ -374,6 +374,36 @@ fn the_blind_check_plants_diagnoses_and_scores() {
 }
 
 #[test]
+fn the_blind_check_of_adoption_plants_and_scores() {
+    let folder = tempfile::tempdir().unwrap();
+    let of = |name: &str| folder.path().join(name);
+    let (logs, truth, adopted) = (of("logs"), of("truth"), of("adopted"));
+    let blind = |step: &str, more: &[&str]| seepd([&["adopt-blind", step], more].concat());
+    let plant = ["--out", text_of(&logs), "--truth", text_of(&truth), "--machines", "1", "--seed", "5"];
+    assert_eq!(stdout(&blind("plant", &plant)), "1 machines\n");
+    let mut planted: Vec<String> = fs::read_dir(logs.join("case-001"))
+        .unwrap()
+        .map(|file| file.unwrap().file_name().into_string().unwrap())
+        .collect();
+    planted.sort();
+    assert_eq!(planted[..3], ["healthy.csv", "later-1.csv", "later-2.csv"]);
+    assert_eq!(planted.last().map(String::as_str), Some("machine.toml"));
+    let score = ["--truth", text_of(&truth), "--adopted", text_of(&adopted)];
+    fs::create_dir(&adopted).unwrap();
+    let nothing = blind("score", &score);
+    assert!(
+        nothing.status.code() == Some(65) && stderr(&nothing).contains("has no answers"),
+        "{}",
+        stderr(&nothing)
+    );
+    fs::write(adopted.join("case-001.json"), r#"{"refused": {"reason": "no cycle repeats"}, "seconds": 3}"#)
+        .unwrap();
+    let table = stdout(&blind("score", &score));
+    assert!(table.contains("| adopted without an edit | 0 of 1 |"), "{table}");
+    assert!(table.contains("- case-001: no cycle repeats\n"), "{table}");
+}
+
+#[test]
 fn an_electric_axis_is_diagnosed_by_its_own_plant_file() {
     let folder = tempfile::tempdir().unwrap();
     let (log, config) = (folder.path().join("axis.csv"), folder.path().join("seepd.toml"));

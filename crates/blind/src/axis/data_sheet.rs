@@ -173,3 +173,34 @@ fn rounded(value: f64) -> f64 {
 fn tenths(value: f64) -> f64 {
     (value * 10.0).round() / 10.0
 }
+
+#[cfg(test)]
+mod tests {
+    use seepd_adopt::machine_data::{MachineData, Orientation};
+
+    use super::super::{LoggedSignals, draw};
+
+    #[test]
+    fn papers_are_read_as_a_machine_toml() {
+        let mut known = 0;
+        for number in 1..=4 {
+            let sheet = draw(5, number, LoggedSignals::Command).unwrap().sheet;
+            let read = MachineData::from_toml(&toml::to_string(&sheet).unwrap()).unwrap();
+            assert_eq!(read.cylinder.bore_mm.map(|datum| datum.value()), sheet.cylinder.bore_mm);
+            assert_eq!(read.valve.rated_flow_lpm.map(|datum| datum.value()), sheet.valve.rated_flow_lpm);
+            assert_eq!(read.supply.pump_flow_lpm.map(|datum| datum.value()), sheet.supply.pump_flow_lpm);
+            assert_eq!(
+                read.controller.task_period_ms.map(|datum| datum.value()),
+                sheet.controller.task_period_ms
+            );
+            assert_eq!(read.oil.iso_vg, sheet.oil.iso_vg);
+            assert_eq!(
+                read.cylinder.orientation == Orientation::Horizontal,
+                sheet.cylinder.orientation == "horizontal"
+            );
+            known +=
+                usize::from(read.valve.rated_flow_lpm.is_some()) + usize::from(read.oil.iso_vg.is_some());
+        }
+        assert!(known > 3, "of eight values {known} are known");
+    }
+}

@@ -14,6 +14,7 @@ mod integrator;
 mod log_file;
 mod machine;
 mod run;
+pub mod score;
 
 pub use case::{Case, HEALTHY, LogTruth, Truth, draw};
 pub use controller::Controller;
