@@ -386,7 +386,7 @@ fn the_blind_check_of_adoption_plants_and_scores() {
         .map(|file| file.unwrap().file_name().into_string().unwrap())
         .collect();
     planted.sort();
-    assert_eq!(planted[..3], ["healthy.csv", "later-1.csv", "later-2.csv"]);
+    assert_eq!(planted[..3], ["healthy.csv", "later-01.csv", "later-02.csv"]);
     assert_eq!(planted.last().map(String::as_str), Some("machine.toml"));
     let score = ["--truth", text_of(&truth), "--adopted", text_of(&adopted)];
     fs::create_dir(&adopted).unwrap();

@@ -23,6 +23,9 @@ const MASS_TOLERANCE: f64 = 0.19;
 const LONGEST_HEALTHY_S: f64 = 1800.0;
 /// Leaks of a worn seal, share of the valve's rated flow at 70 bar.
 const LEAKS: (f64, f64) = (3e-3, 0.15);
+/// First of a ladder of leaks, share of the valve's rated flow, the factor from one to the next, and how many there are.
+const LADDER: (f64, f64) = (2e-3, 1.5);
+const RUNGS: i32 = 9;
 
 /// A machine with its papers and its logs.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,8 +73,17 @@ pub struct LogTruth {
 /// Name of the healthy log that a machine is adopted from.
 pub const HEALTHY: &str = "healthy";
 
+/// What later logs a case has beside its two or three leaks.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Later {
+    /// Leaks from 0.2 % of the valve's rated flow in steps of 1.5, in the place of those that are drawn: they tell the smallest that is found.
+    pub ladder: bool,
+    /// Duty cycles of the healthy one, in the place of 20 to 30.
+    pub healthy_cycles: Option<usize>,
+}
+
 /// Draws a case; the same for a seed and a number. None where no decent machine was drawn.
-pub fn draw(seed: u64, number: usize, signals: LoggedSignals) -> Option<Case> {
+pub fn draw(seed: u64, number: usize, signals: LoggedSignals, later: Later) -> Option<Case> {
     let name = format!("case-{number:03}");
     let seed = seed.wrapping_mul(100_003).wrapping_add(number as u64);
     let (built, machine) = (0..DRAWS).find_map(|draw| drawn_machine(seed, draw))?;
@@ -82,7 +94,7 @@ pub fn draw(seed: u64, number: usize, signals: LoggedSignals) -> Option<Case> {
     let cycles = (60 + noise.index(41)).min(as_many).max(24);
     let healthy_s = cycles as f64 * period_s;
     let format = LogFormat::draw(signals, machine.controller.period_s, period_s, healthy_s, &mut noise);
-    let logs = logs(&machine, built.rated_m3_per_s, cycles, seed, &mut noise);
+    let logs = logs(&machine, built.rated_m3_per_s, cycles, seed, later, &mut noise);
     let truth = Truth { machine, rated_flow_lpm: built.rated_m3_per_s * 6e4, format, logs };
     Some(Case { name, sheet, truth })
 }
@@ -104,23 +116,27 @@ fn healthy_leak(rated_m3_per_s: f64, noise: &mut Noise) -> Leak {
     Leak { flow_m3_per_s: rated_m3_per_s * noise.uniform(5e-5, 5e-4), exponent: 1.0 }
 }
 
-/// The healthy log, two or three with leaks and a healthy one, in an order that tells nothing.
+/// The healthy log, then those with leaks and a healthy one, in an order that tells nothing.
 fn logs(
     machine: &Machine,
     rated_m3_per_s: f64,
     healthy_cycles: usize,
     seed: u64,
+    later: Later,
     noise: &mut Noise,
 ) -> BTreeMap<String, LogTruth> {
     let healthy = healthy_leak(rated_m3_per_s, noise);
     let exponent = if noise.chance(0.7) { 0.5 } else { noise.uniform(0.5, 1.0) };
-    let mut leaks = vec![healthy];
-    for _ in 0..2 + noise.index(2) {
-        leaks.push(Leak { flow_m3_per_s: rated_m3_per_s * noise.log_uniform(LEAKS.0, LEAKS.1), exponent });
-    }
+    let shares: Vec<f64> = if later.ladder {
+        (0..RUNGS).map(|rung| LADDER.0 * LADDER.1.powi(rung)).collect()
+    } else {
+        (0..2 + noise.index(2)).map(|_| noise.log_uniform(LEAKS.0, LEAKS.1)).collect()
+    };
+    let leaks = shares.iter().map(|share| Leak { flow_m3_per_s: rated_m3_per_s * share, exponent });
     // A number drawn for each is its place.
-    let mut later: Vec<(f64, Leak)> = leaks.into_iter().map(|leak| (noise.uniform(0.0, 1.0), leak)).collect();
-    later.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+    let mut ordered: Vec<(f64, Leak)> =
+        std::iter::once(healthy).chain(leaks).map(|leak| (noise.uniform(0.0, 1.0), leak)).collect();
+    ordered.sort_by(|(a, _), (b, _)| a.total_cmp(b));
     let mut logs = BTreeMap::new();
     let beginning =
         [Beginning::AtWork, Beginning::AtWork, Beginning::Idle, Beginning::Manual][noise.index(4)];
@@ -138,8 +154,10 @@ fn logs(
         logs.insert(name, truth);
     };
     plan(HEALTHY.into(), healthy, healthy_cycles, beginning);
-    for (index, (_, leak)) in later.into_iter().enumerate() {
-        plan(format!("later-{}", index + 1), leak, 20 + (index * 7 + seed as usize) % 11, Beginning::AtWork);
+    for (index, (_, leak)) in ordered.into_iter().enumerate() {
+        let cycles = later.healthy_cycles.filter(|_| leak == healthy);
+        let cycles = cycles.unwrap_or(20 + (index * 7 + healthy_cycles) % 11);
+        plan(format!("later-{:02}", index + 1), leak, cycles, Beginning::AtWork);
     }
     logs
 }
@@ -187,29 +205,35 @@ mod tests {
 
     #[test]
     fn a_case_is_the_same_for_a_seed_and_its_logs_to_the_byte() {
-        let case = draw(3, 1, LoggedSignals::Position).unwrap();
-        assert_eq!(draw(3, 1, LoggedSignals::Position).unwrap(), case);
-        assert_ne!(draw(4, 1, LoggedSignals::Position).unwrap().truth.machine, case.truth.machine);
-        assert_ne!(draw(3, 2, LoggedSignals::Position).unwrap().truth.machine, case.truth.machine);
-        let short = LogTruth { cycles: 1, ..case.truth.logs["later-1"].clone() };
+        let case = draw(3, 1, LoggedSignals::Position, Later::default()).unwrap();
+        assert_eq!(draw(3, 1, LoggedSignals::Position, Later::default()).unwrap(), case);
+        assert_ne!(
+            draw(4, 1, LoggedSignals::Position, Later::default()).unwrap().truth.machine,
+            case.truth.machine
+        );
+        assert_ne!(
+            draw(3, 2, LoggedSignals::Position, Later::default()).unwrap().truth.machine,
+            case.truth.machine
+        );
+        let short = LogTruth { cycles: 1, ..case.truth.logs["later-01"].clone() };
         let text = log_text(&case.truth, &short);
         assert_eq!(log_text(&case.truth, &short), text);
         let other = LogTruth { seed: short.seed + 1, ..short };
         assert_ne!(log_text(&case.truth, &other), text);
-        let columns = case.truth.format.header().matches(',').count();
-        assert_eq!(columns, 3);
-        assert!(text.lines().count() > 50 && text.lines().all(|line| line.matches(',').count() == columns));
+        assert!(text.lines().count() > 50 && text.lines().all(|line| line.split([',', ';']).count() == 4));
     }
 
     #[test]
     fn catalogues_are_right_within_their_tolerances_and_leaks_within_what_is_asked() {
         for number in 1..=8 {
-            let Case { sheet, truth, .. } = draw(9, number, LoggedSignals::Command).unwrap();
+            let Case { sheet, truth, .. } =
+                draw(9, number, LoggedSignals::Command, Later::default()).unwrap();
             let Machine { cylinder, valve, supply, .. } = &truth.machine;
             let within = |known: Option<f64>, true_value: f64, tolerance: f64| {
                 known.is_none_or(|known| (true_value / known - 1.0).abs() < tolerance)
             };
-            let rated = valve.coefficient * (sheet.valve.rated_at_bar.unwrap() * 0.5e5).sqrt() * 6e4;
+            let edges = if sheet.valve.rated_over == Some("land") { 1.0 } else { 2.0 };
+            let rated = valve.coefficient * (sheet.valve.rated_at_bar.unwrap() * 1e5 / edges).sqrt() * 6e4;
             assert!(within(sheet.valve.rated_flow_lpm, rated, 0.1), "{number}: {rated} L/min, {sheet:?}");
             assert!(within(sheet.supply.pump_flow_lpm, supply.flow_m3_per_s * 6e4, 0.1), "{sheet:?}");
             assert!(within(sheet.cylinder.moved_mass_kg, cylinder.mass_kg, 0.2), "{sheet:?}");
@@ -225,5 +249,21 @@ mod tests {
                 "{shares:?}"
             );
         }
+    }
+
+    #[test]
+    fn a_ladder_has_its_rungs_and_a_long_healthy_log_its_cycles() {
+        let later = Later { ladder: true, healthy_cycles: Some(1000) };
+        let truth = draw(3, 1, LoggedSignals::Command, later).unwrap().truth;
+        let mut shares: Vec<f64> =
+            truth.logs.values().map(|log| log.leak_lpm / truth.rated_flow_lpm).collect();
+        shares.sort_by(f64::total_cmp);
+        assert_eq!(shares.len(), 11);
+        assert!(
+            (shares[2] / 2e-3 - 1.0).abs() < 1e-9 && (shares[10] / shares[9] - 1.5).abs() < 1e-9,
+            "{shares:?}"
+        );
+        let long: Vec<&LogTruth> = truth.logs.values().filter(|log| log.cycles == 1000).collect();
+        assert!(long.len() == 1 && long[0].leak == truth.logs[HEALTHY].leak, "{long:?}");
     }
 }

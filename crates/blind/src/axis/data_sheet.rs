@@ -91,6 +91,8 @@ impl DataSheet {
     pub(super) fn of(name: &str, built: &Built, noise: &mut Noise) -> Self {
         let machine = &built.machine;
         let cylinder = &machine.cylinder;
+        // Some catalogues halve the drop and say that it is over one edge.
+        let over_land = noise.chance(0.2);
         let measure = noise.chance(MEASURE_MISSING).then(|| noise.index(3));
         let mut known = |value: f64| (!noise.chance(MISSING)).then_some(value);
         let orientation = if cylinder.weight_n > 0.0 {
@@ -115,8 +117,8 @@ impl DataSheet {
             },
             valve: ValveSheet {
                 rated_flow_lpm: known(rounded(built.rated_m3_per_s * LPM)),
-                rated_at_bar: Some(built.rated_at_pa / 1e5),
-                rated_over: Some("loop"),
+                rated_at_bar: Some(if over_land { 0.5 } else { 1.0 } * built.rated_at_pa / 1e5),
+                rated_over: Some(if over_land { "land" } else { "loop" }),
                 overlap_percent: known(tenths(machine.valve.overlap * 100.0)),
             },
             supply: SupplySheet {
@@ -178,13 +180,13 @@ fn tenths(value: f64) -> f64 {
 mod tests {
     use seepd_adopt::machine_data::{MachineData, Orientation};
 
-    use super::super::{LoggedSignals, draw};
+    use super::super::{Later, LoggedSignals, draw};
 
     #[test]
     fn papers_are_read_as_a_machine_toml() {
         let mut known = 0;
         for number in 1..=4 {
-            let sheet = draw(5, number, LoggedSignals::Command).unwrap().sheet;
+            let sheet = draw(5, number, LoggedSignals::Command, Later::default()).unwrap().sheet;
             let read = MachineData::from_toml(&toml::to_string(&sheet).unwrap()).unwrap();
             assert_eq!(read.cylinder.bore_mm.map(|datum| datum.value()), sheet.cylinder.bore_mm);
             assert_eq!(read.valve.rated_flow_lpm.map(|datum| datum.value()), sheet.valve.rated_flow_lpm);

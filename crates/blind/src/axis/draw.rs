@@ -3,7 +3,7 @@
 use seepd_sim::noise::Noise;
 
 use super::controller::Controller;
-use super::duty::{Duty, Move, Profile};
+use super::duty::{Duty, Move, Profile, Rapid};
 use super::machine::{
     Accumulator, Contact, Cylinder, FlowCurve, GRAVITY_M_PER_S2, Machine, Oil, Pump, Supply, Valve,
 };
@@ -26,6 +26,10 @@ const FLOWS: [f64; 10] = [1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0];
 const TASKS_MS: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 10.0, 20.0];
 /// Largest flow that a machine of these asks for, m³/s: 1,500 L/min.
 const LARGEST_FLOW: f64 = 0.025;
+/// Share of the machines that begin long moves without position control.
+const RAPID: f64 = 0.1;
+/// Share of the way that a rapid traverse takes.
+const RAPID_WAY: f64 = 0.7;
 /// L/min in a m³/s.
 const LPM: f64 = 6e4;
 
@@ -79,6 +83,7 @@ pub(super) fn build(noise: &mut Noise) -> Option<Built> {
     let supply = supply(&cylinder, &duty, pressure_pa, noise);
     let (valve, rated_m3_per_s, rated_at_pa) = valve(&cylinder, &supply, &duty, noise)?;
     let controller = controller(&cylinder, &supply, &valve, omega, noise)?;
+    let duty = if noise.chance(RAPID) { with_rapid(duty, &cylinder, &supply, &valve) } else { duty };
     let machine = Machine { cylinder, valve, supply, oil, controller, duty };
     Some(Built { machine, rated_m3_per_s, rated_at_pa })
 }
@@ -136,6 +141,26 @@ fn natural_rad_per_s(cylinder: &Cylinder, oil: &Oil) -> f64 {
     (oil.bulk_modulus_pa * spring / cylinder.mass_kg).sqrt()
 }
 
+/// Lets the long moves against no force begin on a command of their own, as fast as they were, where the valve's curve is a line.
+fn with_rapid(mut duty: Duty, cylinder: &Cylinder, supply: &Supply, valve: &Valve) -> Duty {
+    let longest_m = duty.ways_m().map(f64::abs).fold(0.0, f64::max);
+    let ways_m: Vec<f64> = duty.ways_m().collect();
+    for (step, way_m) in duty.moves.iter_mut().zip(ways_m) {
+        if way_m.abs() < 0.5 * longest_m || step.force_n != 0.0 || valve.curve != FlowCurve::Linear {
+            continue;
+        }
+        let peak_m_per_s = way_m.abs() / step.duration_s * step.profile.peak();
+        let (out, back) = speeds(cylinder, supply, 0.0);
+        let opening = peak_m_per_s / (valve.coefficient * if way_m > 0.0 { out } else { back });
+        let command = (valve.overlap + (1.0 - valve.overlap) * opening).min(1.0).copysign(way_m);
+        let duration_s = hundredths(RAPID_WAY * step.duration_s);
+        // What is left is positioned in the time that the whole took.
+        step.rapid = Some(Rapid { command, duration_s });
+        step.duration_s += duration_s;
+    }
+    duty
+}
+
 /// Numbers of moves of a cycle.
 const MOVES: [usize; 14] = [2, 2, 2, 2, 2, 3, 3, 4, 4, 5, 6, 8, 10, 12];
 
@@ -164,7 +189,14 @@ fn duty(cylinder: &Cylinder, pressure_pa: f64, omega: f64, noise: &mut Noise) ->
             let slowed = speed * noise.log_uniform(0.3, 1.0);
             let duration_s =
                 (way_m / slowed).max((way_m / braking_m_per_s2).sqrt()).max(35.0 / omega).max(0.1);
-            Move { to_m, duration_s: hundredths(duration_s), profile, force_n: 0.0, dwell_s: 0.0 }
+            Move {
+                to_m,
+                duration_s: hundredths(duration_s),
+                profile,
+                rapid: None,
+                force_n: 0.0,
+                dwell_s: 0.0,
+            }
         })
         .collect();
     if noise.chance(0.35) {
@@ -214,9 +246,9 @@ fn press(moves: &mut [Move], start_m: f64, strength_n: f64, noise: &mut Noise) {
 /// Gives the moves their dwells: on both sides, or after those that lead away from the start.
 fn dwell(moves: &mut [Move], start_m: f64, noise: &mut Noise) {
     let moving_s: f64 = moves.iter().map(|step| step.duration_s).sum();
-    let period_s = match noise.index(10) {
-        0 => noise.log_uniform(2.0, 3.0),
-        1 => noise.log_uniform(60.0, 300.0),
+    let period_s = match noise.index(20) {
+        0..=2 => noise.log_uniform(2.0, 3.0),
+        3 => noise.log_uniform(60.0, 900.0),
         _ => noise.log_uniform(3.0, 60.0),
     };
     let dwell_s = (period_s - moving_s).max(moving_s * noise.uniform(0.2, 0.6));
@@ -355,8 +387,8 @@ fn controller(
     if tasks.is_empty() || loop_per_s < 2.0 {
         return None;
     }
-    // A large overlap without a jump leaves the machine anywhere.
-    let jump = if valve.overlap > 0.04 || (valve.overlap > 0.0 && noise.chance(0.5)) {
+    // A large overlap without a jump leaves many a machine too far from its demand, which is then drawn anew.
+    let jump = if noise.chance(if valve.overlap > 0.04 { 0.75 } else { 0.5 }) {
         valve.overlap * noise.uniform(0.8, 1.0)
     } else {
         0.0

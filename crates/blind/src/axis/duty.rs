@@ -27,10 +27,21 @@ pub struct Move {
     pub duration_s: f64,
     /// Shape of the demand.
     pub profile: Profile,
+    /// A beginning without position control.
+    pub rapid: Option<Rapid>,
     /// Process force that has grown by its end, N, positive where it extends.
     pub force_n: f64,
     /// Dwell after it, s.
     pub dwell_s: f64,
+}
+
+/// A rapid traverse on a command of its own; from where it ends, position control goes on.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Rapid {
+    /// Largest command, share of full command.
+    pub command: f64,
+    /// Its part of the move's time, s.
+    pub duration_s: f64,
 }
 
 /// Shape of a move's demand.
@@ -92,6 +103,11 @@ impl Duty {
         self.moves.iter().map(|step| step.duration_s + step.dwell_s).sum()
     }
 
+    /// Ways of the moves, m, positive where they extend.
+    pub(super) fn ways_m(&self) -> impl Iterator<Item = f64> {
+        self.origins_m().zip(&self.moves).map(|(from_m, step)| step.to_m - from_m)
+    }
+
     /// Where the moves begin, m.
     pub(super) fn origins_m(&self) -> impl Iterator<Item = f64> {
         std::iter::once(self.start_m).chain(self.moves.iter().map(|step| step.to_m))
@@ -142,6 +158,8 @@ pub(super) struct Order {
     pub(super) demand_m: f64,
     pub(super) demand_m_per_s: f64,
     pub(super) force_n: f64,
+    /// Command of a rapid traverse.
+    pub(super) rapid: Option<f64>,
 }
 
 impl Timeline {
@@ -188,6 +206,7 @@ impl Timeline {
                 to_m,
                 duration_s: slowest * noise.uniform(1.5, 4.0),
                 profile: Profile::Rounded { ramp: 0.2 },
+                rapid: None,
                 force_n: 0.0,
                 dwell_s: noise.uniform(0.5, 8.0),
             };
@@ -212,22 +231,55 @@ impl Timeline {
         self.segments.push(Segment { begin_s, from_m, force_from_n, step });
         begin_s + step.duration_s + step.dwell_s
     }
+}
 
-    /// What the machine is to do at a time, s.
-    pub(super) fn order(&self, at_s: f64) -> Order {
-        let begun = self.segments.partition_point(|segment| segment.begin_s <= at_s);
-        let Some(segment) = begun.checked_sub(1).and_then(|index| self.segments.get(index)) else {
-            let start_m = self.segments.first().map_or(0.0, |first| first.from_m);
-            return Order { demand_m: start_m, demand_m_per_s: 0.0, force_n: 0.0 };
+/// Who works through a timeline, from its beginning on.
+#[derive(Debug)]
+pub(super) struct Follower<'a> {
+    coming: &'a [Segment],
+    now: Segment,
+    /// Where position control of the move began, m.
+    from_m: f64,
+}
+
+impl<'a> Follower<'a> {
+    /// At rest at the start.
+    pub(super) fn new(timeline: &'a Timeline, start_m: f64) -> Self {
+        let rest = Move {
+            to_m: start_m,
+            duration_s: 1.0,
+            profile: Profile::Cosine,
+            rapid: None,
+            force_n: 0.0,
+            dwell_s: 0.0,
         };
-        let Segment { begin_s, from_m, force_from_n, step } = *segment;
-        let share = (at_s - begin_s) / step.duration_s;
-        let (way, speed) = step.profile.at(share);
-        let grown = (share / FORCE_WITHIN).clamp(0.0, 1.0);
+        let now = Segment { begin_s: 0.0, from_m: start_m, force_from_n: 0.0, step: rest };
+        Follower { coming: &timeline.segments, now, from_m: start_m }
+    }
+
+    /// What the machine is to do at a time that is not before the last one, s, while it is at `position_m`.
+    pub(super) fn order(&mut self, at_s: f64, position_m: f64) -> Order {
+        while let Some((next, later)) = self.coming.split_first().filter(|(next, _)| next.begin_s <= at_s) {
+            (self.now, self.from_m, self.coming) = (*next, next.from_m, later);
+        }
+        let Segment { begin_s, force_from_n, step, .. } = self.now;
+        let since_s = at_s - begin_s;
+        let grown = (since_s / step.duration_s / FORCE_WITHIN).clamp(0.0, 1.0);
+        let force_n = force_from_n + (step.force_n - force_from_n) * grown;
+        if let Some(rapid) = step.rapid.filter(|rapid| since_s < rapid.duration_s) {
+            self.from_m = position_m;
+            let (_, speed) = step.profile.at(since_s / rapid.duration_s);
+            let command = rapid.command * speed / step.profile.peak();
+            return Order { demand_m: position_m, demand_m_per_s: 0.0, force_n, rapid: Some(command) };
+        }
+        let rapid_s = step.rapid.map_or(0.0, |rapid| rapid.duration_s);
+        let controlled_s = step.duration_s - rapid_s;
+        let (way, speed) = step.profile.at((since_s - rapid_s) / controlled_s);
         Order {
-            demand_m: from_m + (step.to_m - from_m) * way,
-            demand_m_per_s: (step.to_m - from_m) * speed / step.duration_s,
-            force_n: force_from_n + (step.force_n - force_from_n) * grown,
+            demand_m: self.from_m + (step.to_m - self.from_m) * way,
+            demand_m_per_s: (step.to_m - self.from_m) * speed / controlled_s,
+            force_n,
+            rapid: None,
         }
     }
 }
@@ -257,8 +309,14 @@ mod tests {
 
     #[test]
     fn a_timeline_has_its_cycles_one_after_the_other() {
-        let step =
-            |to_m, force_n| Move { to_m, duration_s: 1.0, profile: Profile::Cosine, force_n, dwell_s: 0.5 };
+        let step = |to_m, force_n| Move {
+            to_m,
+            duration_s: 1.0,
+            profile: Profile::Cosine,
+            rapid: None,
+            force_n,
+            dwell_s: 0.5,
+        };
         let duty = Duty {
             start_m: 0.1,
             moves: vec![step(0.3, -1000.0), step(0.1, 0.0)],
@@ -269,10 +327,40 @@ mod tests {
         let line = Timeline::plan(&duty, 2, Beginning::Idle, &mut Noise::new(1, 1));
         assert_eq!(line.cycles_s, [60.0, 63.0]);
         assert_eq!(line.logged_s, (0.0, 66.0));
-        let middle = line.order(60.5);
+        let mut follower = Follower::new(&line, 0.1);
+        let idle = follower.order(30.0, 0.1);
+        assert_eq!((idle.demand_m, idle.demand_m_per_s, idle.force_n), (0.1, 0.0, 0.0));
+        let middle = follower.order(60.5, 0.2);
         assert!((middle.demand_m - 0.2).abs() < 1e-12 && middle.force_n == -1000.0, "{middle:?}");
         assert!((middle.demand_m_per_s - 0.2 * std::f64::consts::FRAC_PI_2).abs() < 1e-12, "{middle:?}");
-        let idle = line.order(30.0);
-        assert_eq!((idle.demand_m, idle.demand_m_per_s, idle.force_n), (0.1, 0.0, 0.0));
+    }
+
+    #[test]
+    fn position_control_goes_on_from_where_a_rapid_traverse_ends() {
+        let step = Move {
+            to_m: 0.5,
+            duration_s: 3.0,
+            profile: Profile::Cosine,
+            rapid: Some(Rapid { command: 0.8, duration_s: 1.0 }),
+            force_n: 0.0,
+            dwell_s: 1.0,
+        };
+        let back = Move { to_m: 0.1, rapid: None, ..step };
+        let duty = Duty {
+            start_m: 0.1,
+            moves: vec![step, back],
+            dwell_spread: 0.0,
+            pause_probability: 0.0,
+            force_spread: 0.0,
+        };
+        let line = Timeline::plan(&duty, 1, Beginning::Idle, &mut Noise::new(1, 1));
+        let mut follower = Follower::new(&line, 0.1);
+        let rapid = follower.order(60.5, 0.27);
+        assert_eq!(rapid.demand_m, 0.27);
+        assert!((rapid.rapid.unwrap() - 0.8).abs() < 1e-12, "{rapid:?}");
+        follower.order(60.999, 0.4);
+        // Half way from 0.4 m to 0.5 m after half of what is left of the move.
+        let controlled = follower.order(62.0, 0.42);
+        assert!((controlled.demand_m - 0.45).abs() < 1e-12 && controlled.rapid.is_none(), "{controlled:?}");
     }
 }

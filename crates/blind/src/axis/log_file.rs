@@ -46,12 +46,22 @@ pub enum Style {
     Percent,
     /// V and mm, units behind the names.
     Volt,
+    /// German names, semicolons.
+    German,
 }
+
+/// Styles, as often as they are drawn.
+const STYLES: [Style; 6] =
+    [Style::Plain, Style::Plain, Style::Plain, Style::Percent, Style::Volt, Style::German];
 
 /// Time, command, demand and position of a style: names, factor from SI, decimals.
 type Columns = [(&'static str, f64, usize); 4];
 
 impl Style {
+    fn separator(self) -> &'static str {
+        if self == Style::German { ";" } else { "," }
+    }
+
     fn columns(self) -> Columns {
         match self {
             Style::Plain => [("t_s", 1.0, 5), ("command", 1.0, 5), ("demand", 1.0, 6), ("position", 1.0, 6)],
@@ -60,6 +70,12 @@ impl Style {
                 ("Valve command [%]", 1e2, 3),
                 ("Set position [mm]", 1e3, 3),
                 ("Actual position [mm]", 1e3, 3),
+            ],
+            Style::German => [
+                ("Zeit [s]", 1.0, 5),
+                ("Stellwert [%]", 1e2, 3),
+                ("Sollposition [mm]", 1e3, 3),
+                ("Istposition [mm]", 1e3, 3),
             ],
             Style::Volt => {
                 [("time_s", 1.0, 5), ("valve_cmd_V", 10.0, 4), ("x_set_mm", 1e3, 3), ("x_act_mm", 1e3, 3)]
@@ -88,7 +104,7 @@ impl LogFormat {
         });
         LogFormat {
             signals,
-            style: [Style::Plain, Style::Plain, Style::Percent, Style::Volt][noise.index(4)],
+            style: STYLES[noise.index(STYLES.len())],
             nth: row_s.map_or(1, |row_s| nth(*row_s) as usize),
             command_noise: noise.log_uniform(1e-3, 5e-3),
             position_noise_m: noise.log_uniform(5e-6, 5e-5),
@@ -98,7 +114,7 @@ impl LogFormat {
     /// The first line.
     pub fn header(&self) -> String {
         let names: Vec<&str> = self.columns().map(|(name, ..)| name).collect();
-        names.join(",") + "\n"
+        names.join(self.style.separator()) + "\n"
     }
 
     /// Appends a sample's line.
@@ -107,9 +123,9 @@ impl LogFormat {
         let position_m = sample.position_m + noise.normal(self.position_noise_m);
         let values = [sample.time_s, command, sample.demand_m, position_m];
         for (index, ((_, factor, decimals), value)) in self.columns().zip(values).enumerate() {
-            let comma = if index == 0 { "" } else { "," };
+            let separator = if index == 0 { "" } else { self.style.separator() };
             // A string takes whatever is written.
-            let _ = write!(line, "{comma}{:.decimals$}", value * factor);
+            let _ = write!(line, "{separator}{:.decimals$}", value * factor);
         }
         line.push('\n');
     }

@@ -221,8 +221,14 @@ pub(super) mod tests {
 
     /// A level machine of 80 mm with a servo valve, a regulated pump and a P controller: 4 s, there and back.
     pub(in super::super) fn example() -> Machine {
-        let step =
-            |to_m| Move { to_m, duration_s: 1.0, profile: Profile::Cosine, force_n: 0.0, dwell_s: 1.0 };
+        let step = |to_m| Move {
+            to_m,
+            duration_s: 1.0,
+            profile: Profile::Cosine,
+            rapid: None,
+            force_n: 0.0,
+            dwell_s: 1.0,
+        };
         Machine {
             cylinder: Cylinder {
                 bore_m: 0.08,

@@ -1,7 +1,7 @@
 //! A machine at work over a timeline.
 
 use super::controller::ControllerState;
-use super::duty::Timeline;
+use super::duty::{Follower, Timeline};
 use super::hydraulics::{Hydraulics, P_1, P_2, P_S, STATES, State, TOLERANCE, V, X};
 use super::integrator::Integrator;
 use super::machine::{Leak, Machine};
@@ -63,6 +63,7 @@ fn run_with(
     };
     let mut state = at_rest(machine);
     let mut controller = ControllerState::at(state[X]);
+    let mut follower = Follower::new(timeline, machine.duty.start_m);
     let mut hydraulics = Hydraulics::new(machine, day.leak, temperature_c(0));
     for tick in 0..ticks {
         if tick % oil_ticks == 0 {
@@ -71,10 +72,14 @@ fn run_with(
                 return false;
             }
         }
-        let order = timeline.order(tick as f64 * period_s);
         let position_m = state[X];
-        let command =
-            machine.controller.tick(&mut controller, order.demand_m, order.demand_m_per_s, position_m);
+        let order = follower.order(tick as f64 * period_s, position_m);
+        let command = if let Some(command) = order.rapid {
+            controller = ControllerState::at(position_m);
+            command
+        } else {
+            machine.controller.tick(&mut controller, order.demand_m, order.demand_m_per_s, position_m)
+        };
         if tick >= first && (tick - first).is_multiple_of(nth) {
             let time_s = (tick - first) as f64 * period_s;
             sink(Sample { time_s, command, demand_m: order.demand_m, position_m });

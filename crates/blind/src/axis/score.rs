@@ -258,13 +258,13 @@ fn median(values: &[f64]) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::draw;
     use super::super::log_file::LoggedSignals;
+    use super::super::{Later, draw};
     use super::*;
 
     /// A truth of rated 100 L/min with a healthy log of 0.01 L/min, and leaks of 0.5, 2 and 10 L/min.
     fn truth() -> Truth {
-        let mut truth = draw(3, 1, LoggedSignals::Position).unwrap().truth;
+        let mut truth = draw(3, 1, LoggedSignals::Position, Later::default()).unwrap().truth;
         let any = truth.logs[HEALTHY].clone();
         truth.rated_flow_lpm = 100.0;
         let leaks =

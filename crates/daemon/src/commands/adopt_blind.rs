@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand, ValueEnum};
 use rayon::prelude::*;
 use seepd_blind::axis::score::{self, Answer, Answered, CycleAnswer, Scores};
-use seepd_blind::axis::{self, Case, HEALTHY, LoggedSignals, Truth};
+use seepd_blind::axis::{self, Case, HEALTHY, Later, LoggedSignals, Truth};
 use seepd_monitor::event::Flag;
 use serde::Deserialize;
 
@@ -81,6 +81,12 @@ struct PlantArguments {
     /// Signals in the logs
     #[arg(long, value_enum, default_value_t = Signals::Both)]
     signals: Signals,
+    /// Plant a ladder of leaks in the place of two or three, to tell the smallest that is found
+    #[arg(long)]
+    ladder: bool,
+    /// Duty cycles of the later healthy log [default: 20 to 30]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=10_000))]
+    healthy_cycles: Option<u16>,
 }
 
 /// Which signals the logs have.
@@ -124,11 +130,12 @@ fn plant(arguments: &PlantArguments) -> Result<Outcome, Failure> {
         begin_folder(folder)?;
     }
     let machines = usize::from(arguments.machines);
+    let later = Later { ladder: arguments.ladder, healthy_cycles: arguments.healthy_cycles.map(usize::from) };
     let steps = Steps::begin(machines as u64, "planting");
     let truths: BTreeMap<String, Truth> = (1..=machines)
         .into_par_iter()
         .map(|number| {
-            let drawn = axis::draw(arguments.seed, number, arguments.signals.of(number));
+            let drawn = axis::draw(arguments.seed, number, arguments.signals.of(number), later);
             let case = drawn.ok_or_else(|| {
                 Failure::new(Code::Internal, format!("machine {number}: no machine that works was drawn"))
             })?;
