@@ -1,0 +1,618 @@
+//! Command, demand and position, by how they move together.
+
+use std::collections::BTreeMap;
+
+use seepd_logs::SignalMapping;
+use seepd_signals::Signal;
+
+use super::full_scale::{self, Found};
+use super::length::{self, LengthScale};
+use super::names::Role;
+use super::smooth::{Drives, Follows, Smoothed, drives, follows};
+use super::trace::{Character, Trace};
+use super::units::Quantity;
+use super::{Assigned, Candidate, Hints, Outcome, Question, Rival, SignalProposal, mapping_to, shown};
+
+/// Stretches over which slopes are taken, s: noise asks for long ones, quick strokes for short ones.
+const STRETCHES_S: [f64; 4] = [0.02, 0.06, 0.2, 0.6];
+/// By how much a command may be ahead of the speed, s; what is behind it is none.
+const LEADS_S: [f64; 15] =
+    [-0.3, -0.15, -0.08, -0.04, -0.02, 0.0, 0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5];
+/// By how much a position may be behind its demand, s.
+const LONGEST_DELAY_S: f64 = 0.8;
+/// Share of the speed's variance that a command explains at least.
+const DRIVES_AT_LEAST: f64 = 0.5;
+/// Two columns that explain the speed within this of each other cannot be told apart by it.
+const TIED: f64 = 0.08;
+/// What a name that says command is worth, share of the speed's variance.
+const NAME_BONUS: f64 = 0.1;
+/// Share of the slope's variance from which a column whose ratio to it is one of units is the slope itself.
+const IS_SLOPE: f64 = 0.98;
+/// Ratios of units of speed and length, besides powers of ten: per minute.
+const PER_MINUTE: f64 = 60.0;
+/// How exactly a ratio must be one of units.
+const RATIO_TOLERANCE: f64 = 0.01;
+/// Share of a length's range at its ends that may be its stops, where a cylinder stands whatever the command.
+const END_STOPS: f64 = 0.015;
+/// Share of a position's variance that its demand explains at least.
+const FOLLOWS_AT_LEAST: f64 = 0.97;
+/// The same, where the name says that it is a demand: some stand where they are while their controller does not act.
+const FOLLOWS_BY_NAME: f64 = 0.8;
+/// What a name that says demand or position is worth, s of delay.
+const NAMED_DELAY_S: f64 = 0.05;
+/// Noise that a demand, which is computed, does not have, share of its range, and what it is worth.
+const LEAST_NOISE: f64 = 2e-5;
+const NOISY_DELAY_S: f64 = 0.03;
+/// Share of the variance from which one column is a copy of another.
+const IS_COPY: f64 = 0.999_999;
+
+/// See the [module](self).
+pub(super) struct Motion<'a, 't> {
+    traces: &'a [Trace<'t>],
+    hints: &'a Hints,
+    rate_hz: f64,
+    commands: Vec<usize>,
+    lengths: Vec<usize>,
+    /// How each of `commands` drives each of `lengths`, where it does at all.
+    drives: BTreeMap<(usize, usize), Drives>,
+}
+
+/// A demand and a position that follows it.
+struct Loop {
+    demand: Option<usize>,
+    position: Option<usize>,
+    follows: Option<Follows>,
+    /// Others that are like them.
+    rivals: Vec<Rival>,
+    /// Positions that cannot be told apart.
+    undecided: Vec<usize>,
+}
+
+impl<'a, 't> Motion<'a, 't> {
+    pub(super) fn new(traces: &'a [Trace<'t>], rate_hz: f64, hints: &'a Hints) -> Self {
+        let with = |is: fn(&Trace<'_>) -> bool| {
+            let moving = traces.iter().filter(|trace| trace.character == Character::Moving);
+            moving.filter(|trace| is(trace)).map(|trace| trace.index).collect::<Vec<_>>()
+        };
+        let (commands, lengths) = (with(may_be_command), with(may_be_length));
+        let mut motion = Motion { traces, hints, rate_hz, commands, lengths, drives: BTreeMap::new() };
+        motion.look();
+        motion
+    }
+
+    /// Looks at every pair of a command and a length.
+    fn look(&mut self) {
+        let samples = self.traces.first().map_or(0, |trace| trace.values.len());
+        let mut leads: Vec<isize> =
+            LEADS_S.iter().map(|lead_s| (lead_s * self.rate_hz).round() as isize).collect();
+        leads.dedup();
+        let mut stretches: Vec<usize> = STRETCHES_S
+            .iter()
+            .map(|stretch_s| ((stretch_s * self.rate_hz).round() as usize).max(1))
+            .collect();
+        stretches.dedup();
+        for stretch in stretches.into_iter().filter(|stretch| 20 * stretch <= samples) {
+            let smoothed = |index: &usize| (*index, Smoothed::of(&self.traces[*index].values, stretch));
+            let commands: Vec<_> = self.commands.iter().map(smoothed).collect();
+            let lengths: Vec<_> = self.lengths.iter().map(smoothed).collect();
+            for (command, driver) in &commands {
+                for (length, driven) in lengths.iter().filter(|(length, _)| length != command) {
+                    let trace = &self.traces[*length];
+                    let stop = END_STOPS * trace.range();
+                    let free = trace.least + stop..=trace.largest - stop;
+                    for within in [f64::NEG_INFINITY..=f64::INFINITY, free] {
+                        let found =
+                            leads.iter().filter_map(|lead| drives(driver, driven, stretch, *lead, &within));
+                        self.keep(*command, *length, found);
+                        if self.explained(*command, *length) >= DRIVES_AT_LEAST {
+                            break;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Keeps the best way that a command drives a length.
+    fn keep(&mut self, command: usize, length: usize, found: impl Iterator<Item = Drives>) {
+        for found in found {
+            let best = self.drives.entry((command, length)).or_insert(found);
+            if found.explained > best.explained {
+                *best = found;
+            }
+        }
+    }
+
+    /// Settles command, demand and position.
+    pub(super) fn propose(&self, proposal: &mut SignalProposal) {
+        if let Some(command) = proposal.assigned.get(&Signal::Command).map(|assigned| assigned.column) {
+            if let Some(length) = self.driven_by(command) {
+                self.settle_loop(command, length, proposal);
+            }
+            return;
+        }
+        let chosen = self.best_pair();
+        let Some((command, length)) = chosen else { return self.settle_command_alone(proposal) };
+        let axes = self.other_axes(command, length);
+        let rivals = self.rivals(command, length);
+        let asked = if axes.is_empty() { &rivals } else { &axes };
+        if !asked.is_empty() {
+            let all: Vec<(usize, usize)> =
+                std::iter::once((command, length)).chain(asked.iter().copied()).collect();
+            proposal.questions.push(self.ask_command(&all, axes.is_empty()));
+            return;
+        }
+        let position = self.control_loop(command, length).position.unwrap_or(length);
+        proposal.settle(Signal::Command, self.settle_command(command, position));
+        self.settle_loop(command, length, proposal);
+    }
+
+    fn drive(&self, command: usize, length: usize) -> Option<&Drives> {
+        self.drives.get(&(command, length))
+    }
+
+    fn explained(&self, command: usize, length: usize) -> f64 {
+        self.drive(command, length).map_or(0.0, |drives| drives.explained)
+    }
+
+    fn says_command(&self, index: usize) -> bool {
+        self.traces[index].name.role() == Role::Command
+    }
+
+    fn score(&self, command: usize, length: usize) -> f64 {
+        let named = self.says_command(command);
+        self.explained(command, length) + if named { NAME_BONUS } else { 0.0 }
+    }
+
+    /// The length that a command drives best, if it drives any.
+    fn driven_by(&self, command: usize) -> Option<usize> {
+        let best =
+            |a: &&usize, b: &&usize| self.explained(command, **a).total_cmp(&self.explained(command, **b));
+        let length = *self.lengths.iter().max_by(best)?;
+        (self.explained(command, length) >= DRIVES_AT_LEAST).then_some(length)
+    }
+
+    /// The command and the length that go together best.
+    fn best_pair(&self) -> Option<(usize, usize)> {
+        let pairs = self.commands.iter().filter_map(|command| Some((*command, self.driven_by(*command)?)));
+        pairs
+            .filter(|(command, length)| self.why_not(*command, *length).is_none())
+            .max_by(|a, b| self.score(a.0, a.1).total_cmp(&self.score(b.0, b.1)))
+    }
+
+    /// Why a column that goes with a length's slope is no command.
+    fn why_not(&self, command: usize, length: usize) -> Option<String> {
+        let drives = self.drive(command, length)?;
+        let [name, of] = [command, length].map(|index| shown(&self.traces[index]));
+        let is_slope = drives.straight >= IS_SLOPE && is_ratio_of_units(drives.gain * self.rate_hz);
+        if is_slope && !self.says_command(command) {
+            return Some(format!("{name} is the slope of {of} itself, a speed."));
+        }
+        (!turns(&self.traces[command])).then(|| format!("{name} has no middle about which it turns."))
+    }
+
+    /// Commands of other axes in the log: pairs that go together better than with this axis.
+    fn other_axes(&self, command: usize, length: usize) -> Vec<(usize, usize)> {
+        let alike = self.alike(length);
+        let other = |rival: &usize| {
+            let driven = self.driven_by(*rival)?;
+            let apart = *rival != command && driven != length && !alike.contains_key(&driven);
+            let better = self.explained(*rival, driven) > self.explained(*rival, length) + NAME_BONUS;
+            (apart && better && self.why_not(*rival, driven).is_none()).then_some((*rival, driven))
+        };
+        self.commands.iter().filter_map(other).collect()
+    }
+
+    /// Columns that drive the same length as well as the best one does.
+    fn rivals(&self, command: usize, length: usize) -> Vec<(usize, usize)> {
+        let best = self.score(command, length);
+        let tied = |rival: &usize| {
+            let close = best - self.score(*rival, length) < TIED;
+            // A name that says command is not passed over in silence.
+            let named = self.says_command(*rival) && !self.says_command(command);
+            *rival != command
+                && (close || named)
+                && self.explained(*rival, length) >= DRIVES_AT_LEAST
+                && self.why_not(*rival, length).is_none()
+                && !self.is_copy(command, *rival)
+        };
+        self.commands.iter().filter(|rival| tied(rival)).map(|rival| (*rival, length)).collect()
+    }
+
+    fn is_copy(&self, one: usize, other: usize) -> bool {
+        let found = follows(&self.traces[one].values, &self.traces[other].values, &[0]);
+        found.is_some_and(|found| found.explained >= IS_COPY)
+    }
+
+    fn ask_command(&self, pairs: &[(usize, usize)], one_axis: bool) -> Question {
+        let candidate = |(command, length): &(usize, usize)| {
+            let (mapping, scale) = self.command_mapping(*command, *length);
+            let share = self.explained(*command, *length);
+            let what = format!(
+                "moves {} (explains {:.0} % of its speed){scale}",
+                shown(&self.traces[*length]),
+                100.0 * share
+            );
+            Candidate { column: *command, mapping, what }
+        };
+        let candidates: Vec<Candidate> = pairs.iter().map(candidate).collect();
+        let why = if one_axis {
+            "several columns go with the speed equally well".to_owned()
+        } else {
+            format!("the log has {} axes; name the command of the one to look at", candidates.len())
+        };
+        Question { signal: Signal::Command, candidates, why }
+    }
+
+    /// A mapping of a command, and what is open about its scale.
+    fn command_mapping(&self, command: usize, length: usize) -> (SignalMapping, String) {
+        let trace = &self.traces[command];
+        match self.full_scale(command, length) {
+            Found::Sure(way, ..) => (mapping_to(trace, way.scale, way.offset), String::new()),
+            Found::Open(ways, why) => {
+                let (scale, offset) = ways.first().map_or((1.0, 0.0), |way| (way.scale, way.offset));
+                (mapping_to(trace, scale, offset), format!("; {why}"))
+            }
+        }
+    }
+
+    fn full_scale(&self, command: usize, length: usize) -> Found {
+        let drives = self.drive(command, length);
+        let trace = &self.traces[command];
+        let null = match drives.map(|drives| drives.null) {
+            // What takes both signs stands at zero; a curve over a few levels crosses zero anywhere between them.
+            _ if turns_about(trace, 0.0) => 0.0,
+            Some(null) if null.is_finite() => null,
+            _ => resting_value(trace),
+        };
+        full_scale::find(trace, null, drives.is_some_and(|drives| drives.falling))
+    }
+
+    fn settle_command(&self, command: usize, length: usize) -> Outcome {
+        let trace = &self.traces[command];
+        let Some(drives) = self.drive(command, length) else {
+            return self.scaled(command, 0.5, Vec::new(), length);
+        };
+        let of = shown(&self.traces[length]);
+        let mut evidence =
+            vec![format!("It explains {:.0} % of the speed of {of}.", 100.0 * drives.explained)];
+        if drives.falling {
+            evidence.push(format!(
+                "{of} falls where it is positive, so its sign is reversed: positive is to extend. If {of} counts from the extended end \
+                 instead, turn the sign of both."
+            ));
+        }
+        if self.says_command(command) {
+            evidence.push(format!("Its name, {}, says so.", shown(trace)));
+        }
+        self.scaled(command, drives.explained.min(0.98), evidence, length)
+    }
+
+    /// A command with its way to shares of full command, or the question what that is.
+    fn scaled(&self, command: usize, sure: f64, mut evidence: Vec<String>, length: usize) -> Outcome {
+        let trace = &self.traces[command];
+        match self.full_scale(command, length) {
+            Found::Sure(way, scale_sure, why) => {
+                evidence.push(why);
+                Outcome::Assigned(Assigned {
+                    column: command,
+                    mapping: mapping_to(trace, way.scale, way.offset),
+                    confidence: sure.min(scale_sure),
+                    evidence,
+                    rivals: Vec::new(),
+                })
+            }
+            Found::Open(ways, why) => {
+                let candidate = |way: full_scale::FullScale| Candidate {
+                    column: command,
+                    mapping: mapping_to(trace, way.scale, way.offset),
+                    what: way.what,
+                };
+                Outcome::Asked(Question {
+                    signal: Signal::Command,
+                    candidates: ways.into_iter().map(candidate).collect(),
+                    why: format!("{} is the command, but {why}", shown(trace)),
+                })
+            }
+        }
+    }
+
+    /// Where no column moves a length: the command by its name, or as the only column that can be one.
+    fn settle_command_alone(&self, proposal: &mut SignalProposal) {
+        let usable: Vec<usize> =
+            self.commands.iter().copied().filter(|index| turns(&self.traces[*index])).collect();
+        let named: Vec<usize> = usable.iter().copied().filter(|index| self.says_command(*index)).collect();
+        let chosen = if named.is_empty() { &usable } else { &named };
+        match chosen.as_slice() {
+            [] => proposal.refusal = Some(self.refusal()),
+            [one] => {
+                let name = shown(&self.traces[*one]);
+                let evidence = vec![if named.is_empty() {
+                    format!(
+                        "{name} is the only column that can be one; without a position its sign cannot be checked."
+                    )
+                } else {
+                    format!(
+                        "Its name, {name}, says so; without a position that it moves, its sign cannot be checked."
+                    )
+                }];
+                let sure = if named.is_empty() { 0.6 } else { 0.7 };
+                proposal.settle(Signal::Command, self.scaled(*one, sure, evidence, *one));
+            }
+            several => proposal.questions.push(Question {
+                signal: Signal::Command,
+                candidates: several
+                    .iter()
+                    .map(|index| {
+                        let (mapping, scale) = self.command_mapping(*index, *index);
+                        let what = format!("{}{scale}", shown(&self.traces[*index]));
+                        Candidate { column: *index, mapping, what }
+                    })
+                    .collect(),
+                why: "several columns could be a valve command, and none moves a position in this log".into(),
+            }),
+        }
+    }
+
+    fn refusal(&self) -> String {
+        const TOLD: usize = 8;
+        let reason = |trace: &Trace<'_>| format!("{} {}", shown(trace), no_command(trace));
+        let mut reasons: Vec<String> = self.traces.iter().take(TOLD).map(reason).collect();
+        if self.traces.len() > TOLD {
+            reasons.push(format!("and {} more are no commands either", self.traces.len() - TOLD));
+        }
+        format!("no column can be a valve command: {}", reasons.join("; "))
+    }
+
+    /// Columns that are like a length, each with how it follows it.
+    fn alike(&self, length: usize) -> BTreeMap<usize, Follows> {
+        let most = (LONGEST_DELAY_S * self.rate_hz) as isize;
+        let step = (most / 80).max(1);
+        let delays: Vec<isize> = (-most..=most).step_by(step as usize).collect();
+        let others = self.lengths.iter().filter(|other| **other != length);
+        let found: BTreeMap<usize, Follows> = others
+            .filter_map(|other| {
+                let found = follows(&self.traces[length].values, &self.traces[*other].values, &delays)?;
+                (found.gain > 0.0).then_some((*other, found))
+            })
+            .collect();
+        let most = found.values().map(|follows| follows.explained).fold(0.0, f64::max);
+        let is_alike = |other: usize, explained: f64| {
+            let is_demand = self.traces[other].name.role() == Role::Demand;
+            explained >= FOLLOWS_AT_LEAST || (is_demand && explained >= FOLLOWS_BY_NAME && explained == most)
+        };
+        found.into_iter().filter(|(other, follows)| is_alike(*other, follows.explained)).collect()
+    }
+
+    /// Settles demand and position of the axis of a command.
+    fn settle_loop(&self, command: usize, length: usize, proposal: &mut SignalProposal) {
+        let found = self.control_loop(command, length);
+        if let (Some(position), false) = (found.position, proposal.assigned.contains_key(&Signal::Position)) {
+            let mut evidence = vec![format!(
+                "Its slope follows the command, which explains {:.0} % of it.",
+                100.0 * self.explained(command, position)
+            )];
+            if let (Some(demand), Some(follows)) = (found.demand, found.follows) {
+                let delay_ms = 1e3 * follows.behind as f64 / self.rate_hz;
+                evidence.push(format!("It follows {} by {delay_ms:.0} ms.", shown(&self.traces[demand])));
+            }
+            let outcome = self.settle_length(
+                Signal::Position,
+                position,
+                self.explained(command, position),
+                evidence,
+                found.rivals,
+            );
+            proposal.settle(Signal::Position, outcome);
+        }
+        if let (Some(demand), false) = (found.demand, proposal.assigned.contains_key(&Signal::Demand)) {
+            let evidence = vec![match found.position {
+                Some(position) => format!("{} follows it.", shown(&self.traces[position])),
+                None => "Its name says so, and its slope goes with the command.".into(),
+            }];
+            let sure = found.follows.map_or(0.7, |follows| follows.explained);
+            proposal.settle(
+                Signal::Demand,
+                self.settle_length(Signal::Demand, demand, sure, evidence, Vec::new()),
+            );
+        }
+        if !found.undecided.is_empty() {
+            let candidate = |index: &usize| self.length_candidate(*index);
+            proposal.questions.push(Question {
+                signal: Signal::Position,
+                candidates: found.undecided.iter().map(candidate).collect(),
+                why: "several columns move alike".into(),
+            });
+        }
+    }
+
+    fn length_candidate(&self, index: usize) -> Candidate {
+        let trace = &self.traces[index];
+        let (scale, what) = match length::find(trace, self.hints) {
+            LengthScale::Sure(scale, _, why) => (scale, why),
+            LengthScale::Open(ways, why) => (ways.first().map_or(1.0, |way| way.0), why),
+        };
+        Candidate {
+            column: index,
+            mapping: mapping_to(trace, scale, 0.0),
+            what: format!("{}: {what}", shown(trace)),
+        }
+    }
+
+    fn settle_length(
+        &self,
+        signal: Signal,
+        index: usize,
+        sure: f64,
+        mut evidence: Vec<String>,
+        rivals: Vec<Rival>,
+    ) -> Outcome {
+        let trace = &self.traces[index];
+        match length::find(trace, self.hints) {
+            LengthScale::Sure(scale, scale_sure, why) => {
+                evidence.push(why);
+                let confidence = sure.min(scale_sure);
+                let mapping = mapping_to(trace, scale, 0.0);
+                Outcome::Assigned(Assigned { column: index, mapping, confidence, evidence, rivals })
+            }
+            LengthScale::Open(ways, why) => {
+                let candidate = |(scale, what): (f64, String)| Candidate {
+                    column: index,
+                    mapping: mapping_to(trace, scale, 0.0),
+                    what: format!("values in {what}"),
+                };
+                Outcome::Asked(Question {
+                    signal,
+                    candidates: ways.into_iter().map(candidate).collect(),
+                    why: format!("{} is the {}, but {why}", shown(trace), signal.name()),
+                })
+            }
+        }
+    }
+
+    /// Which of the lengths that are alike is the demand, and which the position.
+    fn control_loop(&self, command: usize, length: usize) -> Loop {
+        let alike = self.alike(length);
+        let alone = Loop {
+            demand: None,
+            position: Some(length),
+            follows: None,
+            rivals: Vec::new(),
+            undecided: Vec::new(),
+        };
+        // Ahead of all others is the demand.
+        let ahead = |index: usize| {
+            let behind = alike.get(&index).map_or(0, |follows| follows.behind);
+            let trace = &self.traces[index];
+            let named_s = match trace.name.role() {
+                Role::Demand => -NAMED_DELAY_S,
+                Role::Position => NAMED_DELAY_S,
+                _ => 0.0,
+            };
+            let noisy_s = if trace.noise > LEAST_NOISE * trace.range() { NOISY_DELAY_S } else { 0.0 };
+            behind as f64 / self.rate_hz + named_s + noisy_s
+        };
+        let mut members: Vec<usize> = std::iter::once(length).chain(alike.keys().copied()).collect();
+        members.sort_by(|a, b| ahead(*a).total_cmp(&ahead(*b)));
+        let (Some(first), true) = (members.first().copied(), members.len() > 1) else {
+            return self.single(command, length, alone);
+        };
+        let followers: Vec<usize> = members[1..].to_vec();
+        let measured: Vec<usize> = match followers
+            .iter()
+            .copied()
+            .filter(|index| self.traces[*index].name.role() == Role::Position)
+            .collect::<Vec<_>>()
+        {
+            named if named.is_empty() => followers,
+            named => named,
+        };
+        let position = measured[0];
+        let undecided: Vec<usize> = measured
+            .iter()
+            .copied()
+            .filter(|other| *other != position && !self.is_copy(position, *other))
+            .collect();
+        let delays: Vec<isize> = (0..=(LONGEST_DELAY_S * self.rate_hz) as isize).collect();
+        let follows = follows(&self.traces[first].values, &self.traces[position].values, &delays);
+        if undecided.is_empty() {
+            return Loop { demand: Some(first), position: Some(position), follows, ..alone };
+        }
+        let undecided = std::iter::once(position).chain(undecided).collect();
+        Loop { demand: Some(first), position: None, follows, rivals: Vec::new(), undecided }
+    }
+
+    /// A length without another that is like it.
+    fn single(&self, command: usize, length: usize, alone: Loop) -> Loop {
+        let behind = self.drive(command, length).is_some_and(|drives| drives.lead < 0);
+        match self.traces[length].name.role() {
+            Role::Demand => Loop { demand: Some(length), position: None, ..alone },
+            // A command that only follows a slope follows a demand's.
+            Role::Unknown if behind => Loop { position: None, undecided: vec![length], ..alone },
+            _ => alone,
+        }
+    }
+}
+
+fn may_be_command(trace: &Trace<'_>) -> bool {
+    let unit = trace.unit.is_none_or(|unit| {
+        matches!(unit.quantity, Quantity::Share | Quantity::Voltage | Quantity::Current | Quantity::Count)
+    });
+    unit && matches!(trace.name.role(), Role::Command | Role::Unknown | Role::Demand)
+}
+
+fn may_be_length(trace: &Trace<'_>) -> bool {
+    let role = trace.name.role();
+    match trace.unit.map(|unit| unit.quantity) {
+        Some(Quantity::Length) => role != Role::Error && role != Role::Other,
+        None | Some(Quantity::Count | Quantity::Voltage | Quantity::Share | Quantity::Current) => {
+            matches!(role, Role::Position | Role::Demand | Role::Unknown)
+        }
+        Some(_) => false,
+    }
+}
+
+/// Why a column can be no command.
+fn no_command(trace: &Trace<'_>) -> String {
+    match trace.character {
+        Character::Absent => return "has hardly a value".into(),
+        Character::Constant => return "never changes".into(),
+        Character::Switch => return "takes two values alone".into(),
+        Character::Counter => return "only counts".into(),
+        Character::Moving => {}
+    }
+    let unit = trace.column.unit.as_deref().unwrap_or_default();
+    match (trace.unit.map(|unit| unit.quantity), trace.name.role()) {
+        (Some(Quantity::Length), _) => format!("is a length ({unit})"),
+        (Some(Quantity::Pressure), _) => format!("is a pressure ({unit})"),
+        (Some(Quantity::Force), _) => format!("is a force ({unit})"),
+        (Some(Quantity::Other), _) => format!("is in {unit}"),
+        (_, Role::Error) => "is an error of control by its name".into(),
+        (_, Role::Unknown | Role::Command | Role::Demand) => {
+            "does not turn about a middle at which the machine stands".into()
+        }
+        (_, role) => format!(
+            "is a {} by its name",
+            match role {
+                Role::Position => "position",
+                Role::Pressure => "pressure",
+                Role::Load => "force",
+                Role::CycleStart => "mark",
+                _ => "measured quantity",
+            }
+        ),
+    }
+}
+
+/// Whether a trace goes to both sides of zero, or of where it rests, as a command does.
+fn turns(trace: &Trace<'_>) -> bool {
+    turns_about(trace, 0.0) || turns_about(trace, resting_value(trace))
+}
+
+fn turns_about(trace: &Trace<'_>, middle: f64) -> bool {
+    let least_side = 0.02 * trace.range();
+    trace.largest - middle > least_side && middle - trace.least > least_side
+}
+
+/// Whether a speed's ratio to a slope is that of their units: a power of ten, or that per minute.
+fn is_ratio_of_units(ratio: f64) -> bool {
+    let near_power = |ratio: f64| {
+        let power = ratio.log10();
+        (power - power.round()).abs() <= RATIO_TOLERANCE / std::f64::consts::LN_10
+    };
+    let ratio = ratio.abs();
+    near_power(ratio) || near_power(ratio * PER_MINUTE) || near_power(ratio / PER_MINUTE)
+}
+
+/// The value that a trace has most of the time.
+fn resting_value(trace: &Trace<'_>) -> f64 {
+    const BINS: usize = 100;
+    let width = trace.range() / BINS as f64;
+    let mut counts = [0usize; BINS];
+    for value in trace.values.iter().filter(|value| value.is_finite()) {
+        let bin = ((value - trace.least) / width) as usize;
+        counts[bin.min(BINS - 1)] += 1;
+    }
+    let fullest = counts.iter().enumerate().max_by_key(|(_, count)| **count).map_or(0, |(bin, _)| bin);
+    trace.least + (fullest as f64 + 0.5) * width
+}
