@@ -3,8 +3,12 @@
 //! A valve command is bounded and leads the speed; a position is smooth, and its slope goes with the command; a demand leads the position and is
 //! without noise; pressures and loads go with each other. What physics cannot tell apart is asked, and never guessed with confidence.
 
+mod circuit;
+mod correlation;
+mod cycle_start;
 mod full_scale;
 mod length;
+mod load;
 mod motion;
 mod names;
 mod smooth;
@@ -21,6 +25,7 @@ use seepd_logs::columns::{Column, Columns};
 use seepd_logs::{LogMapping, SignalMapping};
 use seepd_signals::Signal;
 
+use circuit::Drive;
 use motion::Motion;
 use trace::Trace;
 
@@ -136,6 +141,14 @@ pub fn propose(columns: &Columns, hints: &Hints) -> SignalProposal {
         }
     }
     Motion::new(&traces, rate_hz, hints).propose(&mut proposal);
+    let in_si = |signal: Signal| {
+        let Assigned { column, mapping, .. } = proposal.assigned.get(&signal)?;
+        Some(traces[*column].values.iter().map(|value| value * mapping.scale + mapping.offset).collect())
+    };
+    let drive = Drive { command: in_si(Signal::Command), position: in_si(Signal::Position), rate_hz, hints };
+    circuit::propose(&traces, &drive, &mut proposal);
+    load::propose(&traces, &drive, &mut proposal);
+    cycle_start::propose(&traces, &drive, &mut proposal);
     proposal
 }
 

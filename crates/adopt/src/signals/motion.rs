@@ -38,9 +38,9 @@ const END_STOPS: f64 = 0.015;
 const FOLLOWS_AT_LEAST: f64 = 0.97;
 /// The same, where the name says that it is a demand: some stand where they are while their controller does not act.
 const FOLLOWS_BY_NAME: f64 = 0.8;
-/// What a name that says demand or position is worth, s of delay.
-const NAMED_DELAY_S: f64 = 0.05;
-/// Noise that a demand, which is computed, does not have, share of its range, and what it is worth.
+/// Delay from which one column is behind another, s.
+const CLEAR_DELAY_S: f64 = 0.004;
+/// Noise that a demand, which is computed, does not have, share of its range, and what it is worth, s of delay.
 const LEAST_NOISE: f64 = 2e-5;
 const NOISY_DELAY_S: f64 = 0.03;
 /// Share of the variance from which one column is a copy of another.
@@ -480,46 +480,58 @@ impl<'a, 't> Motion<'a, 't> {
             rivals: Vec::new(),
             undecided: Vec::new(),
         };
-        // Ahead of all others is the demand.
-        let ahead = |index: usize| {
+        if alike.is_empty() {
+            return self.single(command, length, alone);
+        }
+        // What is computed comes before what is measured, and has no noise.
+        let delay_s = |index: usize| {
             let behind = alike.get(&index).map_or(0, |follows| follows.behind);
             let trace = &self.traces[index];
-            let named_s = match trace.name.role() {
-                Role::Demand => -NAMED_DELAY_S,
-                Role::Position => NAMED_DELAY_S,
-                _ => 0.0,
-            };
-            let noisy_s = if trace.noise > LEAST_NOISE * trace.range() { NOISY_DELAY_S } else { 0.0 };
-            behind as f64 / self.rate_hz + named_s + noisy_s
+            let noisy = trace.noise > LEAST_NOISE * trace.range();
+            behind as f64 / self.rate_hz + if noisy { NOISY_DELAY_S } else { 0.0 }
         };
+        let role = |index: usize| self.traces[index].name.role();
         let mut members: Vec<usize> = std::iter::once(length).chain(alike.keys().copied()).collect();
-        members.sort_by(|a, b| ahead(*a).total_cmp(&ahead(*b)));
-        let (Some(first), true) = (members.first().copied(), members.len() > 1) else {
-            return self.single(command, length, alone);
-        };
-        let followers: Vec<usize> = members[1..].to_vec();
-        let measured: Vec<usize> = match followers
-            .iter()
-            .copied()
-            .filter(|index| self.traces[*index].name.role() == Role::Position)
-            .collect::<Vec<_>>()
+        members.sort_by(|a, b| delay_s(*a).total_cmp(&delay_s(*b)));
+        let (first, second) = (members[0], members[1]);
+        let named = members.iter().copied().find(|member| role(*member) == Role::Demand);
+        let leads = delay_s(second) - delay_s(first) > CLEAR_DELAY_S;
+        let demand = named.or_else(|| (leads && role(first) != Role::Position).then_some(first));
+        if let Some(demand) = demand.filter(|demand| delay_s(*demand) - delay_s(first) > CLEAR_DELAY_S)
+            && role(first) == Role::Position
         {
-            named if named.is_empty() => followers,
-            named => named,
-        };
-        let position = measured[0];
-        let undecided: Vec<usize> = measured
-            .iter()
-            .copied()
-            .filter(|other| *other != position && !self.is_copy(position, *other))
-            .collect();
-        let delays: Vec<isize> = (0..=(LONGEST_DELAY_S * self.rate_hz) as isize).collect();
-        let follows = follows(&self.traces[first].values, &self.traces[position].values, &delays);
-        if undecided.is_empty() {
-            return Loop { demand: Some(first), position: Some(position), follows, ..alone };
+            // The names say the reverse of what is seen.
+            return Loop { position: None, undecided: vec![first, demand], ..alone };
         }
-        let undecided = std::iter::once(position).chain(undecided).collect();
-        Loop { demand: Some(first), position: None, follows, rivals: Vec::new(), undecided }
+        let mut measured: Vec<usize> = members
+            .into_iter()
+            .filter(|member| Some(*member) != demand && role(*member) != Role::Demand)
+            .collect();
+        if measured.iter().any(|member| role(*member) == Role::Position) {
+            measured.retain(|member| role(*member) == Role::Position);
+        }
+        let Some(position) = measured.first().copied() else {
+            return Loop { demand, position: None, ..alone };
+        };
+        // What comes clearly later is the same once more, filtered.
+        let tied = |other: &usize| {
+            delay_s(*other) - delay_s(position) <= CLEAR_DELAY_S && !self.is_copy(position, *other)
+        };
+        let mut undecided: Vec<usize> = measured.iter().copied().skip(1).filter(tied).collect();
+        if !undecided.is_empty() {
+            undecided.insert(0, position);
+            return Loop { demand, position: None, undecided, ..alone };
+        }
+        let later = |other: &usize| Rival {
+            column: *other,
+            why_not: format!("{} moves alike, no earlier.", shown(&self.traces[*other])),
+        };
+        let rivals = measured.iter().skip(1).map(later).collect();
+        let follows = demand.and_then(|demand| {
+            let delays: Vec<isize> = (0..=(LONGEST_DELAY_S * self.rate_hz) as isize).collect();
+            follows(&self.traces[demand].values, &self.traces[position].values, &delays)
+        });
+        Loop { demand, position: Some(position), follows, rivals, ..alone }
     }
 
     /// A length without another that is like it.

@@ -177,6 +177,9 @@ const WORDS: &[(Topic, &[&str])] = &[
     ),
 ];
 
+/// Words of an electric current, by which some valves are commanded.
+const CURRENT: &[&str] = &["current", "strom"];
+
 /// Words of a circuit's places, those in words first, letters and numbers after them.
 const PORTS: &[(Signal, &[&str], &[&str])] = &[
     (
@@ -262,10 +265,16 @@ fn role_of(words: &[String]) -> Role {
         words.iter().any(|word| is_of(word, known))
     };
     let ordered = has(Topic::Command) || has(Topic::Demand);
+    if has(Topic::Pressure) {
+        // What a pressure is to be is none.
+        return if ordered || has(Topic::Error) || has(Topic::Other) { Role::Other } else { Role::Pressure };
+    }
     if has(Topic::Valve) {
-        // What a valve's spool does is no order to it.
+        // What a valve's spool does is no order to it; its current may be.
         let told_back = (has(Topic::Feedback) || has(Topic::Position)) && !ordered;
-        return if told_back || has(Topic::Error) { Role::Other } else { Role::Command };
+        let is_current = words.iter().any(|word| is_of(word, CURRENT));
+        let other = has(Topic::Error) || (has(Topic::Other) && !is_current);
+        return if told_back || other { Role::Other } else { Role::Command };
     }
     if has(Topic::Error) {
         return Role::Error;
@@ -280,8 +289,7 @@ fn role_of(words: &[String]) -> Role {
     }
     let plain = [
         (Topic::CycleStart, Role::CycleStart),
-        (Topic::Pressure, Role::Pressure),
-        (Topic::Load, Role::Load),
+        (Topic::Load, if ordered { Role::Other } else { Role::Load }),
         (Topic::Command, Role::Command),
         (Topic::Demand, Role::Demand),
         (Topic::Feedback, Role::Position),
@@ -340,6 +348,12 @@ mod tests {
             ("", "Kolbenweg", Role::Position),
             ("", "boom_error_m", Role::Error),
             ("", "Temp_1", Role::Other),
+            ("", "valve_pressure", Role::Pressure),
+            ("", "pressure_setpoint", Role::Other),
+            ("", "force_setpoint", Role::Other),
+            ("", "valve_current", Role::Command),
+            ("", "valve_temp", Role::Other),
+            ("", "motor_current", Role::Other),
             ("", "oil_temp", Role::Other),
             ("", "p_cap", Role::Pressure),
             ("", "Pressure A", Role::Pressure),

@@ -48,6 +48,16 @@ impl Smoothed {
         let twice = means(&once, length);
         Smoothed { once, twice }
     }
+
+    /// Slopes over stretches of that length, per sample.
+    pub(super) fn slopes(&self, length: usize) -> Vec<f64> {
+        self.once.windows(length + 1).map(|window| (window[length] - window[0]) / length as f64).collect()
+    }
+
+    /// Means over the stretches of the slopes.
+    pub(super) fn means(&self, length: usize) -> Vec<f64> {
+        self.twice[..self.twice.len().saturating_sub(length)].to_vec()
+    }
 }
 
 fn means(values: &[f64], length: usize) -> Vec<f64> {

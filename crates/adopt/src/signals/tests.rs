@@ -1,7 +1,8 @@
-//! Logs as others write them: every signal that is assigned is the right one, or it is asked.
+//! Logs as others write them: every signal that is assigned is the right one with the right way to SI, or it is asked.
 
 use seepd_logs::columns::Column;
 use seepd_signals::Signal;
+use seepd_signals::Signal::{Command, Demand, Load, PCap, PInlet, PRod, PSupply, Position};
 
 use super::test_logs::{column, log, measured, press};
 use super::{Hints, SignalProposal, propose};
@@ -19,6 +20,11 @@ const fn of(signal: Signal, field: &'static str, unit: Option<&'static str>, per
     As { signal, field, unit, per_si, offset }
 }
 
+/// In the signal's own unit, under that name.
+const fn si(signal: Signal, field: &'static str) -> As {
+    of(signal, field, None, 1.0, 0.0)
+}
+
 fn rendered(columns: &[As]) -> Vec<Column> {
     let render = |As { signal, field, unit, per_si, offset }: &As| {
         column(field, *unit, measured(press(), *signal).into_iter().map(|value| value * per_si + offset))
@@ -26,45 +32,159 @@ fn rendered(columns: &[As]) -> Vec<Column> {
     columns.iter().map(render).collect()
 }
 
-fn proposed(columns: &[As]) -> SignalProposal {
-    propose(&log(rendered(columns)), &Hints::default())
+/// What is wrong with a proposal: signals that are other columns, or have another way to SI.
+fn wrong(found: &SignalProposal, columns: &[As]) -> Vec<String> {
+    let is_right = |signal: &Signal, column: usize| {
+        let mapping = &found.assigned[signal].mapping;
+        columns.get(column).is_some_and(|of| {
+            let back = (mapping.scale * of.per_si - 1.0).abs() < 1e-6;
+            let zero =
+                (mapping.scale * of.offset + mapping.offset).abs() < 1e-6 * (1.0 + mapping.offset.abs());
+            of.signal == *signal && back && zero
+        })
+    };
+    let assigned = found.assigned.iter().filter(|(signal, assigned)| !is_right(signal, assigned.column));
+    assigned
+        .map(|(signal, assigned)| format!("{signal:?} is {:?}, {:?}", assigned.mapping, assigned.evidence))
+        .collect()
 }
 
-/// That a signal is that column, with the way back to SI.
-fn assert_is(found: &SignalProposal, columns: &[As], signal: Signal, field: &str) {
-    let assigned = found.assigned.get(&signal).unwrap_or_else(|| panic!("{signal:?} is missing: {found:#?}"));
-    assert_eq!(assigned.mapping.field, field, "{found:#?}");
-    let As { per_si, offset, .. } = columns.iter().find(|column| column.field == field).unwrap();
-    let mapping = &assigned.mapping;
-    assert!((mapping.scale * per_si - 1.0).abs() < 1e-9, "{signal:?}: scale {}: {found:#?}", mapping.scale);
-    assert!((mapping.scale * offset + mapping.offset).abs() < 1e-9, "{signal:?}: offset {}", mapping.offset);
+/// That all of these are assigned, and all that are assigned are right.
+fn assert_found(columns: &[As], extra: Vec<Column>, sure: &[Signal]) -> SignalProposal {
+    let names: Vec<&str> = columns.iter().map(|column| column.field).collect();
+    let found = propose(&log([rendered(columns), extra].concat()), &Hints::default());
+    assert_eq!(wrong(&found, columns), [""; 0], "{names:?}");
+    let missing: Vec<_> = sure.iter().filter(|signal| !found.assigned.contains_key(signal)).collect();
+    assert!(
+        missing.is_empty(),
+        "{names:?}: {missing:?} are missing, {:?} {:?}",
+        found.questions,
+        found.refusal
+    );
+    found
 }
 
+/// Ways to write the position loop: names, units, scales, order, sign.
 #[test]
-fn the_press_with_its_own_names() {
-    use Signal::{Command, Demand, Position};
-    let columns = [
-        of(Command, "command", None, 1.0, 0.0),
-        of(Demand, "demand", None, 1.0, 0.0),
-        of(Position, "position", None, 1.0, 0.0),
+fn property_no_way_to_write_a_position_loop_is_taken_wrongly() {
+    let all = [Command, Demand, Position];
+    let [u, d, x] = all;
+    let table: Vec<(Vec<As>, &[Signal])> = vec![
+        (vec![si(u, "command"), si(d, "demand"), si(x, "position")], &all),
+        (vec![si(x, "c"), si(u, "a"), si(d, "b")], &all),
+        (vec![si(u, "u"), si(x, "x")], &[Command, Position]),
+        (vec![si(u, "value")], &[Command]),
+        (vec![of(u, "out", Some("%"), 100.0, 0.0), of(x, "pos", Some("mm"), 1e3, 0.0)], &[Command, Position]),
+        (vec![of(u, "out", None, 100.0, 0.0), of(x, "pos", None, 1e3, 0.0)], &[Command, Position]),
+        (
+            vec![of(u, "ch1", Some("V"), 10.0, 0.0), of(x, "ch2", Some("cm"), 100.0, 0.0)],
+            &[Command, Position],
+        ),
+        (vec![of(u, "ch1", None, 10.0, 0.0), si(x, "ch2")], &[Position]),
+        (vec![of(u, "ch1", Some("mV"), 1e4, 0.0), si(x, "ch2")], &[Command, Position]),
+        (vec![of(u, "I", Some("mA"), 8.0, 12.0), si(x, "ch2")], &[Command, Position]),
+        (vec![of(u, "I", None, 8.0, 12.0), si(x, "ch2")], &[Command, Position]),
+        (vec![of(u, "I", Some("mA"), 10.0, 10.0), si(x, "ch2")], &[Command, Position]),
+        (vec![of(u, "I", Some("mA"), 20.0, 0.0), si(x, "ch2")], &[Position]),
+        (vec![of(u, "Uv", Some("V"), 5.0, 5.0), si(x, "ch2")], &[Command, Position]),
+        (vec![of(u, "Uv", None, 5.0, 5.0), si(x, "ch2")], &[Command, Position]),
+        (vec![of(u, "y", Some("%"), 50.0, 50.0), si(x, "ch2")], &[Command, Position]),
+        (vec![of(u, "y", None, 50.0, 50.0), si(x, "ch2")], &[Command, Position]),
+        (vec![of(u, "y", None, 0.5, 0.5), si(x, "ch2")], &[Command, Position]),
+        (vec![of(u, "y", None, -1.0, 0.0), si(x, "ch2")], &[Command, Position]),
+        (vec![of(u, "y", Some("V"), -10.0, 0.0), si(x, "ch2"), si(d, "ch3")], &all),
+        (vec![of(u, "y", Some("mA"), -8.0, 12.0), si(x, "ch2"), si(d, "ch3")], &all),
+        (vec![of(u, "y", None, 10_000.0, 0.0), si(x, "ch2")], &[Position]),
+        (vec![of(u, "y", None, 32_767.0, 0.0), si(x, "ch2")], &[Position]),
+        (vec![of(u, "y", None, 27_648.0, 0.0), si(x, "ch2")], &[Position]),
+        (vec![of(u, "y", None, 27_648.0 / 2.0, 27_648.0 / 2.0), si(x, "ch2")], &[Position]),
+        (vec![of(x, "x", None, 39.3701, 0.0), si(u, "u")], &[Command]),
+        (vec![of(x, "x", Some("inch"), 1.0 / 0.0254, 0.0), si(u, "u")], &[Command, Position]),
+        (vec![of(x, "x", None, 100.0, 0.0), si(u, "u")], &[Command]),
+        (
+            vec![
+                of(x, "Kolbenweg", Some("mm"), 1e3, 0.0),
+                of(d, "Sollweg", Some("mm"), 1e3, 0.0),
+                si(u, "Stellgröße"),
+            ],
+            &all,
+        ),
+        (
+            vec![
+                of(x, "IstPosition", None, 1e3, 0.0),
+                of(d, "SollPosition", None, 1e3, 0.0),
+                of(u, "VentilSollwert", Some("%"), 100.0, 0.0),
+            ],
+            &all,
+        ),
+        (vec![si(d, "position_command"), si(x, "position_feedback"), si(u, "pid")], &all),
+        (vec![si(u, "demand_valve"), si(d, "target"), si(x, "lvdt")], &all),
+        (
+            vec![
+                of(d, "set [mm]", Some("mm"), 1e3, 0.0),
+                of(x, "act [mm]", Some("mm"), 1e3, 0.0),
+                of(u, "out [V]", Some("V"), 10.0, 0.0),
+            ],
+            &all,
+        ),
+        // Names that lie: physics decides, or asks.
+        (vec![si(x, "demand"), si(d, "position"), si(u, "u")], &[Command]),
+        (vec![si(u, "data[0]"), si(x, "data[1]"), si(d, "data[2]")], &all),
+        // Units that cannot be: asked.
+        (vec![of(u, "u", Some("%"), 1.0, 0.0), si(x, "x")], &[Position]),
+        (vec![of(u, "u", Some("V"), 100.0, 0.0), si(x, "x")], &[Position]),
     ];
-    let found = proposed(&columns);
-    for (signal, field) in [(Command, "command"), (Demand, "demand"), (Position, "position")] {
-        assert_is(&found, &columns, signal, field);
+    for (columns, sure) in table {
+        assert_found(&columns, Vec::new(), sure);
     }
-    assert_eq!(found.questions, []);
 }
 
+/// Ways to write pressures and load beside command and position.
 #[test]
-fn names_that_say_nothing_and_a_4_to_20_ma_command_of_reversed_sign() {
-    use Signal::{Command, Demand, Position};
-    let columns = [
-        of(Position, "ch1", None, 1000.0, 0.0),
-        of(Command, "ch2", Some("mA"), -8.0, 12.0),
-        of(Demand, "ch3", None, 1000.0, 0.0),
+fn property_no_way_to_write_pressures_and_load_is_taken_wrongly() {
+    let bar = |signal: Signal, field: &'static str| of(signal, field, Some("bar"), 1e-5, 0.0);
+    let plain_bar = |signal: Signal, field: &'static str| of(signal, field, None, 1e-5, 0.0);
+    let table: Vec<(Vec<As>, &[Signal])> = vec![
+        (
+            vec![
+                si(PCap, "p_cap"),
+                si(PRod, "p_rod"),
+                si(PSupply, "p_supply"),
+                si(PInlet, "p_inlet"),
+                si(Load, "load"),
+            ],
+            &[PCap, PRod, PSupply, PInlet, Load],
+        ),
+        (vec![bar(PCap, "Druck Kolbenseite"), bar(PRod, "Druck Stangenseite")], &[PCap, PRod]),
+        (vec![bar(PCap, "pA"), bar(PRod, "pB"), bar(PSupply, "pP")], &[PCap, PRod]),
+        (vec![bar(PRod, "pA"), bar(PCap, "pB"), bar(PSupply, "pP")], &[PCap, PRod]),
+        (vec![bar(PCap, "p1"), bar(PRod, "p2")], &[PCap, PRod]),
+        (vec![bar(PRod, "ch5"), bar(PCap, "ch6")], &[PCap, PRod]),
+        (vec![bar(PRod, "ch5"), bar(PCap, "ch6"), bar(PSupply, "ch7")], &[PCap, PRod, PSupply]),
+        (vec![bar(PRod, "ch5"), bar(PCap, "ch6"), bar(PSupply, "ch7"), bar(PInlet, "ch8")], &[PCap, PRod]),
+        (vec![plain_bar(PCap, "p_cap"), plain_bar(PRod, "p_rod")], &[PCap, PRod]),
+        (vec![of(PCap, "p_cap", None, 1e-6, 0.0), of(PRod, "p_rod", None, 1e-6, 0.0)], &[]),
+        (
+            vec![of(PCap, "p_cap", Some("MPa"), 1e-6, 0.0), of(PRod, "p_rod", Some("kPa"), 1e-3, 0.0)],
+            &[PCap, PRod],
+        ),
+        (vec![of(PCap, "p_cap", Some("psi"), 1.0 / 6_894.757_293_168, 0.0)], &[PCap]),
+        (vec![bar(PCap, "p1")], &[PCap]),
+        (vec![bar(PRod, "p1")], &[]),
+        (vec![bar(PSupply, "pump_pressure")], &[PSupply]),
+        // Swapped in words: asked.
+        (vec![bar(PRod, "p_cap"), bar(PCap, "p_rod")], &[]),
+        (
+            vec![of(Load, "force", Some("kN"), -1e-3, 0.0), bar(PCap, "pA"), bar(PRod, "pB")],
+            &[Load, PCap, PRod],
+        ),
+        (vec![of(Load, "force", Some("kN"), 1e-3, 0.0), bar(PCap, "pA"), bar(PRod, "pB")], &[Load]),
+        (vec![of(Load, "Kraft", None, 1e-3, 0.0), bar(PCap, "pA"), bar(PRod, "pB")], &[PCap, PRod]),
+        (vec![of(Load, "loadcell", Some("N"), -1.0, 0.0)], &[]),
+        (vec![of(Load, "loadcell", Some("N"), 1.0, 0.0)], &[]),
     ];
-    let found = proposed(&columns);
-    for (signal, field) in [(Command, "ch2"), (Demand, "ch3"), (Position, "ch1")] {
-        assert_is(&found, &columns, signal, field);
+    for (mut columns, sure) in table {
+        columns.extend([si(Command, "command"), si(Position, "position")]);
+        assert_found(&columns, Vec::new(), sure);
     }
 }
