@@ -34,7 +34,8 @@ fn configurations_of_the_guide_read() {
     assert_eq!(configs[0].axes[0].alarm, AxisConfig::default().alarm);
     assert_eq!(configs[0].axes[0].signals.len(), 1);
     assert_eq!(configs[1].axes[0].duty_cycles.len(), 1);
-    assert_eq!(configs[2].axes.len(), 2);
+    assert!(configs[2].axes[0].is_relative());
+    assert_eq!(configs[3].axes.len(), 2);
 }
 
 #[test]

@@ -3,7 +3,9 @@
 use seepd_monitor::event::Summary;
 use seepd_monitor::pipeline::observer::Observation;
 use seepd_monitor::pipeline::{DutyCycle, LEAST_ESTIMATES};
-use seepd_monitor::reason::{NO_CYCLE_FOUND, UNLIKE_BASELINE, UNLIKE_TRAINING};
+use seepd_monitor::reason::{
+    LEARNING_BASELINE, NO_CYCLE_FOUND, NO_PLANT_MODEL, UNLIKE_BASELINE, UNLIKE_TRAINING,
+};
 
 use crate::reasons::explanation;
 use crate::sink::terminal::listed;
@@ -34,6 +36,9 @@ pub fn advice(
     source: &CommandSource,
 ) -> String {
     let situation = Situation { summary, observed, duty_cycles, source };
+    if summary.size_withheld == Some(NO_PLANT_MODEL) {
+        return situation.without_a_model();
+    }
     let explain = situation.reason().map(|reason| format!("`seepd explain {reason}` says more."));
     let parts = [Some(situation.tally()), situation.next_step(), explain];
     parts.into_iter().flatten().collect::<Vec<_>>().join(" ")
@@ -47,6 +52,30 @@ struct Situation<'a> {
 }
 
 impl Situation<'_> {
+    /// There is a size only with a model; without cycles to compare there is not even a comparison.
+    fn without_a_model(&self) -> String {
+        let gain = format!("Without a plant model there is no L/min: {} gives sizes.", self.adopt());
+        let Summary { cycles, rejected, .. } = self.summary;
+        let learned = rejected.get(LEARNING_BASELINE).copied().unwrap_or(0);
+        if *cycles > 0 {
+            return gain;
+        }
+        let seen = match (learned, self.observed.period_s) {
+            _ if self.is_out_of_range() => {
+                self.observed.command_range.map_or(String::new(), |range| self.misscaled(range))
+            }
+            (0, None) => self.without_a_pattern(),
+            (0, Some(period_s)) => format!(
+                "The command repeats every {} s, but no cycle could be used: a longer log shows its strokes better.",
+                three_digits(period_s)
+            ),
+            (learned, _) => format!(
+                "{learned} cycles were read as healthy ones, and there were none to compare with them: learn from one log, and compare another."
+            ),
+        };
+        format!("{seen} {gain}")
+    }
+
     /// Why most of the cycles have no estimate, or why there are no cycles.
     fn reason(&self) -> Option<&'static str> {
         let most = self.summary.rejected.iter().max_by_key(|(_, count)| **count).map(|(reason, _)| *reason);
@@ -73,7 +102,7 @@ impl Situation<'_> {
         if let Some(rate_hz) = self.observed.wrong_rate_hz {
             return Some(self.at_another_rate(rate_hz));
         }
-        if let Some(range) = self.observed.command_range.filter(|range| self.is_misscaled(*range)) {
+        if let Some(range) = self.observed.command_range.filter(|_| self.is_out_of_range()) {
             return Some(self.misscaled(range));
         }
         match self.reason()? {
@@ -93,6 +122,10 @@ impl Situation<'_> {
             "The samples come at {rate_hz:.1} Hz, the model reads {model_hz} Hz. Make a model for this rate: {}.",
             self.adopt()
         )
+    }
+
+    fn is_out_of_range(&self) -> bool {
+        self.observed.command_range.is_some_and(|range| self.is_misscaled(range))
     }
 
     fn is_misscaled(&self, [low, high]: [f64; 2]) -> bool {
@@ -151,7 +184,7 @@ impl Situation<'_> {
 
     fn without_a_pattern(&self) -> String {
         let longest_s = DutyCycle::longest_period_s(self.duty_cycles);
-        if self.summary.duration_s < 2.0 * longest_s {
+        if longest_s > 0.0 && self.summary.duration_s < 2.0 * longest_s {
             return format!(
                 "The record has {} s, and a cycle of the model {} s: read a longer log.",
                 three_digits(self.summary.duration_s),

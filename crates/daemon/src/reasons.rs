@@ -55,7 +55,7 @@ ends with what it saw in the command and with the next command.
 ";
 
 /// Every reason, in the order of a sample's way: input, cycle, model, flag.
-pub const ALL: [Explanation; 16] = [
+pub const ALL: [Explanation; 18] = [
     Explanation {
         name: "stale",
         meaning: "no command comes",
@@ -167,6 +167,20 @@ pub const ALL: [Explanation; 16] = [
         cause: "A summary gives a size where at least 3 cycles, and half of all, have an estimate: what a few odd cycles say is no size of the machine's leak.",
         check: "The summary lists the reasons of the others.",
         cure: "What helps for the most frequent of these; the summary's last line has the next command. Or read a longer log.",
+    },
+    Explanation {
+        name: "learning_baseline",
+        meaning: "the machine's healthy cycles are being learned",
+        cause: "An axis without a model (`monitor.kind = \"relative\"`) first learns what it is like: five periods of the command show the duty cycle, and the next cycles what is healthy.",
+        check: "The page and the status say how many cycles there are, and how many are wanted.",
+        cure: "Wait, or learn from a log: `seepd learn-baseline --config seepd.toml --out press.baseline.json LOG`.",
+    },
+    Explanation {
+        name: "no_plant_model",
+        meaning: "the axis has no model, which alone can tell sizes",
+        cause: "`monitor.kind` is `relative`: cycles are compared with the machine's own healthy ones, which tells that something has changed, in which phases and since when.",
+        check: "`seepd check seepd.toml` says so of the axis.",
+        cure: "Describe this machine: `seepd adopt LOG --out FOLDER`. A model gives L/min, and tells a leak from load, oil and supply.",
     },
 ];
 

@@ -286,6 +286,15 @@ impl Alarm {
         Some(Change { from, to: self.level, evidence })
     }
 
+    /// A cycle's comparison on an axis without a model, where there is no size: the sums say whether something has changed.
+    pub fn compared(&mut self, config: &AlarmConfig, has_changed: bool) -> Option<Change> {
+        let change = self.estimated_with(config, 0.0, has_changed)?;
+        let grounds = if change.to == Flag::Healthy { Grounds::AsAtBaseline } else { Grounds::Changed };
+        let evidence =
+            Evidence { grounds, lowest_lpm: None, highest_lpm: None, threshold_lpm: None, ..change.evidence };
+        Some(Change { evidence, ..change })
+    }
+
     fn raised(&mut self, config: &AlarmConfig) -> Option<Evidence> {
         let (index, flag) =
             RISING.into_iter().enumerate().rev().find(|(index, flag)| {
@@ -412,6 +421,25 @@ mod tests {
         assert_eq!(back, alarm);
         let change = back.estimated(&AlarmConfig::default(), 5.0).unwrap();
         assert_eq!((change.from, change.to), (Flag::Leak, Flag::Severe));
+    }
+
+    #[test]
+    fn without_a_model_a_change_is_watched_and_has_no_size() {
+        let config = AlarmConfig::default();
+        let mut alarm = Alarm::default();
+        let told: Vec<(Flag, String)> = [false, true, true, true, false, false, false, false, false]
+            .into_iter()
+            .filter_map(|has_changed| alarm.compared(&config, has_changed))
+            .map(|change| (change.to, change.evidence.to_string()))
+            .collect();
+        assert_eq!(
+            told,
+            [
+                (Flag::Healthy, "1 cycle as at the baseline".to_owned()),
+                (Flag::Watch, "the sums over cycles find a change since the baseline, 3 cycles".to_owned()),
+                (Flag::Healthy, "5 cycles as at the baseline".to_owned()),
+            ]
+        );
     }
 
     #[test]

@@ -106,6 +106,9 @@ pub struct CycleLine<'a> {
     /// What the comparison with a baseline says; its fields are absent where there is none.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub comparison: Option<ComparisonLine<'a>>,
+    /// What the comparison says on an axis without a model; its fields are absent elsewhere, and while the baseline is learned.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub relative: Option<RelativeLine<'a>>,
     /// Features by name; absent for a rejected cycle.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub features: Option<FeatureValues<'a>>,
@@ -151,6 +154,21 @@ pub struct ComparisonLine<'a> {
     pub why: FeatureValues<'a>,
 }
 
+/// A cycle's comparison with the baseline of an axis without a model: fields of its line.
+#[derive(Debug, Clone, Serialize)]
+pub struct RelativeLine<'a> {
+    /// Distance from the baseline: root mean square of the standardised numbers, about 1 for a healthy machine.
+    pub distance: f64,
+    /// Whether the sums over cycles find a change.
+    pub changed: bool,
+    /// The largest of the sums over its threshold.
+    pub largest_sum: f64,
+    /// About when the change began, s from the log's first sample; null where there is none.
+    pub changed_since_s: Option<f64>,
+    /// The numbers' differences from the baseline, in its standard deviations from cycle to cycle.
+    pub standardised: FeatureValues<'a>,
+}
+
 impl CycleLine<'_> {
     /// End, ns in the log's own time.
     pub fn t_end_ns(&self) -> i64 {
@@ -186,6 +204,10 @@ pub enum Grounds {
     SumOverCycles,
     /// Estimates below a share of the former flag's threshold.
     BelowThreshold,
+    /// The sums over cycles of an axis without a model, which find that something has changed.
+    Changed,
+    /// They find no change any more, or none yet.
+    AsAtBaseline,
     /// There is an estimate again.
     Estimate,
     /// There is none any more.
@@ -197,6 +219,18 @@ impl fmt::Display for Evidence {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if let Some(reason) = self.reason {
             return f.write_str(&reason.replace('_', " "));
+        }
+        let cycles = |count: u32| if count == 1 { "1 cycle".to_owned() } else { format!("{count} cycles") };
+        match self.grounds {
+            Grounds::Changed => {
+                return write!(
+                    f,
+                    "the sums over cycles find a change since the baseline, {}",
+                    cycles(self.cycles)
+                );
+            }
+            Grounds::AsAtBaseline => return write!(f, "{} as at the baseline", cycles(self.cycles)),
+            _ => {}
         }
         if self.grounds == Grounds::SumOverCycles {
             f.write_str("the CUSUM finds more leakage than at the baseline, ")?;
@@ -263,6 +297,10 @@ pub enum NoticeKind {
     UnlikeTraining,
     /// The machine has become another one: it needs a new baseline.
     UnlikeBaseline,
+    /// Something has changed on an axis without a model.
+    ChangeFound,
+    /// It has not any more.
+    ChangeGone,
 }
 
 /// `seepd.notice/1`: something that a person should know, and that is no change of flag.

@@ -6,6 +6,7 @@ pub mod energy;
 pub mod event;
 pub mod pipeline;
 pub mod reason;
+pub mod relative;
 
 pub use alarm::{Alarm, AlarmConfig};
 pub use baseline::{Baseline, BaselineError, BaselineFile};

@@ -18,8 +18,13 @@ pub const UNLIKE_TRAINING: &str = "unlike_training";
 /// Too few of a record's cycles have an estimate for a size.
 pub const TOO_FEW_ESTIMATES: &str = "too_few_estimates";
 
+/// The cycles so far are to become the baseline of an axis without a model.
+pub const LEARNING_BASELINE: &str = "learning_baseline";
+/// The axis has no model, which alone can tell sizes.
+pub const NO_PLANT_MODEL: &str = "no_plant_model";
+
 /// Every reason that this crate and the one that reads cycles give.
-pub const ALL: [&str; 15] = [
+pub const ALL: [&str; 17] = [
     Reason::Incomplete.name(),
     Reason::Gap.name(),
     Reason::Duplicate.name(),
@@ -35,4 +40,6 @@ pub const ALL: [&str; 15] = [
     UNLIKE_BASELINE,
     UNLIKE_TRAINING,
     TOO_FEW_ESTIMATES,
+    LEARNING_BASELINE,
+    NO_PLANT_MODEL,
 ];

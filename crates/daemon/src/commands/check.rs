@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use crate::baseline_file;
 use crate::cli::Outcome;
-use crate::config::{DaemonConfig, load_model};
+use crate::config::{AxisConfig, DaemonConfig, load_model};
 use crate::failure::{Code, Failure};
 use crate::progress::warn;
 use crate::sink::terminal::print;
@@ -172,6 +172,9 @@ fn check_configuration(path: &Path) -> Result<Good, Failure> {
                 .transpose()
                 .map_err(of_axis)?;
         }
+        if let Some(file) = axis.baseline.file.as_deref().filter(|_| axis.is_relative()) {
+            baseline_file::read_relative(file, &axis.axis).map_err(of_axis)?;
+        }
         if axis.dbc.is_some() || axis.source.can.is_some() {
             frame_decoder(&axis.log_mapping()).map_err(Failure::from).map_err(of_axis)?;
         }
@@ -183,11 +186,19 @@ fn check_configuration(path: &Path) -> Result<Good, Failure> {
             "axis {}, {} mapped signals, {}",
             axis.axis,
             axis.signals.len(),
-            duty_cycles.iter().map(described).collect::<Vec<_>>().join(", ")
+            measure(axis, &duty_cycles)
         ));
     }
     check_sinks(&config)?;
     Ok(Good { message: axes.join("; "), remarks: config.remarks() })
+}
+
+/// What the axis's cycles are measured against.
+fn measure(axis: &AxisConfig, duty_cycles: &[DutyCycle]) -> String {
+    if axis.is_relative() {
+        return "watched relative to its own healthy cycles (no model, so no sizes)".to_owned();
+    }
+    duty_cycles.iter().map(described).collect::<Vec<_>>().join(", ")
 }
 
 fn described(DutyCycle { name, model }: &DutyCycle) -> String {

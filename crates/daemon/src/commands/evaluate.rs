@@ -109,6 +109,10 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
         return Err(Failure::new(Code::Usage, "--within-cycles is 0; it must be 1 or more"));
     }
     let (config, duty_cycles) = arguments.reading.load()?;
+    if config.is_relative() {
+        let text = "an axis without a model (`monitor.kind = \"relative\"`) gives no sizes that could be held against the truth";
+        return Err(Failure::new(Code::Usage, text));
+    }
     let logs = arguments.logs.iter().map(PathBuf::as_path);
     let inputs = logs.chain(arguments.reading.files(&config)).chain(arguments.baseline.file());
     let html = Outputs::new(arguments.overwrite, inputs).claim_any(arguments.html.as_ref())?;

@@ -10,6 +10,8 @@ use seepd_logs::record;
 use seepd_model::Model;
 use seepd_monitor::baseline::{Baseline, BaselineFile, MOST_CYCLES};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
+use seepd_monitor::reason::LEARNING_BASELINE;
+use seepd_monitor::relative::{RelativeBaseline, RelativeError};
 
 use super::reading::{ReadingArguments, check_cycles};
 use crate::baseline_file;
@@ -64,6 +66,9 @@ pub struct LearnBaselineArguments {
 pub fn run(arguments: &LearnBaselineArguments) -> Result<Outcome, Failure> {
     check_cycles("--cycles", arguments.cycles)?;
     let (config, duty_cycles) = arguments.reading.load()?;
+    if config.is_relative() {
+        return run_relative(arguments, &config);
+    }
     let which = chosen(arguments.duty_cycle.as_deref(), &duty_cycles)?;
     let model = Arc::clone(&duty_cycles[which].model);
     let mut file = record_of(arguments, &config, &model)?;
@@ -77,6 +82,51 @@ pub fn run(arguments: &LearnBaselineArguments) -> Result<Outcome, Failure> {
         tell(arguments, &model, baseline)?;
     }
     Ok(Outcome::Good)
+}
+
+/// Learns the baseline of an axis without a model: its duty cycle too.
+fn run_relative(arguments: &LearnBaselineArguments, config: &AxisConfig) -> Result<Outcome, Failure> {
+    let path = &arguments.out;
+    if arguments.seal_replaced {
+        let text = "--seal-replaced adds to a record, and the baseline of an axis without a model is a single one; --force replaces it";
+        return Err(Failure::new(Code::Usage, text));
+    }
+    let out = claim(arguments, config)?;
+    let mut pipeline = Pipeline::new(config.monitor(Vec::new()))?;
+    let occasion = arguments.occasion.as_deref().unwrap_or("commissioning");
+    if let Some(monitor) = pipeline.relative_mut() {
+        monitor.learn(occasion, arguments.cycles);
+    }
+    read_logs(arguments, config, &mut pipeline)?;
+    let learned = pipeline
+        .relative()
+        .map_or(Err(RelativeError::NoCycle), |monitor| monitor.baseline_so_far(&config.axis));
+    let baseline = learned.map_err(|error| no_baseline(&error, &pipeline))?;
+    let text = baseline.to_json().map_err(|error| Failure::writing(path, error))?;
+    out.write(text.clone())?;
+    baseline.remarks.iter().for_each(|remark| warn(remark));
+    print(if arguments.json { text } else { describe_relative(path, &baseline) }.as_bytes())?;
+    Ok(Outcome::Good)
+}
+
+fn describe_relative(path: &Path, baseline: &RelativeBaseline) -> String {
+    let mut text = format!(
+        "{}: baseline of {} cycles ({}), {} left out; without a model: it tells that something has changed, and no size\n\
+         the command repeats every {:.2} s, at {} Hz\n",
+        path.display(),
+        baseline.cycles,
+        baseline.occasion,
+        baseline.left_out,
+        baseline.cycle.period_s,
+        baseline.sample_rate_hz
+    );
+    for (phase, feature) in baseline.cycle.phases.iter().zip(&baseline.features) {
+        text.push_str(&format!(
+            "  {:<10} {:>7.2} … {:>7.2} s {:>9.5} ± {:.5}\n",
+            phase.name, phase.from_s, phase.to_s, feature.mean, feature.deviation
+        ));
+    }
+    text
 }
 
 /// Index of the duty cycle whose baseline is learned.
@@ -138,6 +188,22 @@ fn learn(
     pipeline.monitors_mut()[which]
         .learn(occasion, arguments.cycles)
         .map_err(|error| Failure::new(Code::Configuration, error.to_string()))?;
+    read_logs(arguments, config, &mut pipeline)?;
+    let monitor = &pipeline.monitors()[which];
+    match (monitor.baseline(), monitor.learner()) {
+        (Some(baseline), _) => Ok(baseline.clone()),
+        (None, Some(learner)) => {
+            learner.baseline(monitor.model()).map_err(|error| no_baseline(&error, &pipeline))
+        }
+        (None, None) => Err(Failure::data("no baseline could be learned".to_owned())),
+    }
+}
+
+fn read_logs(
+    arguments: &LearnBaselineArguments,
+    config: &AxisConfig,
+    pipeline: &mut Pipeline,
+) -> Result<(), Failure> {
     let sizes = arguments.logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum();
     let bar = byte_bar(sizes, "learning");
     let notes = record::each_sample(&arguments.logs, &config.log_mapping(), counting(&bar), |sample| {
@@ -147,19 +213,17 @@ fn learn(
     pipeline.finish(&mut |_| ());
     bar.finish_and_clear();
     notes.iter().for_each(|note| warn(note));
-    let monitor = &pipeline.monitors()[which];
-    match (monitor.baseline(), monitor.learner()) {
-        (Some(baseline), _) => Ok(baseline.clone()),
-        (None, Some(learner)) => learner.baseline(monitor.model()).map_err(|message| {
-            let rejected = pipeline.summary().rejected;
-            let listed: Vec<String> =
-                rejected.iter().map(|(name, count)| format!("{count} {name}")).collect();
-            let rejected =
-                if listed.is_empty() { String::new() } else { format!(" (rejected: {})", listed.join(", ")) };
-            Failure::data(format!("no baseline could be learned: {message}{rejected}"))
-        }),
-        (None, None) => Err(Failure::data("no baseline could be learned".to_owned())),
-    }
+    Ok(())
+}
+
+/// Why there is no baseline, with what became of the other cycles.
+fn no_baseline(error: &dyn std::error::Error, pipeline: &Pipeline) -> Failure {
+    let rejected = pipeline.rejected();
+    let counts = rejected.iter().filter(|(name, _)| **name != LEARNING_BASELINE);
+    let listed: Vec<String> = counts.map(|(name, count)| format!("{count} {name}")).collect();
+    let rejected =
+        if listed.is_empty() { String::new() } else { format!(" (rejected: {})", listed.join(", ")) };
+    Failure::data(format!("no baseline could be learned: {error}{rejected}"))
 }
 
 fn tell(arguments: &LearnBaselineArguments, model: &Model, baseline: &Baseline) -> Result<(), Failure> {

@@ -6,6 +6,7 @@ use clap::Args;
 use seepd_logs::Selection;
 use seepd_monitor::baseline::{Baseline, LEAST_CYCLES, MOST_CYCLES};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
+use seepd_monitor::relative::RelativeMonitor;
 
 use crate::baseline_file;
 use crate::config::{AxisConfig, DaemonConfig};
@@ -77,6 +78,10 @@ impl ReadingArguments {
     pub fn load(&self) -> Result<(AxisConfig, Vec<DutyCycle>), Failure> {
         let mut config = self.mapping.load()?;
         if let Some(path) = &self.model {
+            if config.is_relative() {
+                let text = "--model cannot be used: `monitor.kind` of the configuration is `relative`, which takes none";
+                return Err(Failure::new(Code::Usage, text));
+            }
             if !config.duty_cycles.is_empty() {
                 let text = "--model cannot be used: the configuration has several duty cycles, each with its own model";
                 return Err(Failure::new(Code::Usage, text));
@@ -110,6 +115,10 @@ impl BaselineArguments {
     /// # Errors
     /// [`Failure`] of the file, or of the count of cycles.
     pub fn apply(&self, pipeline: &mut Pipeline, config: &AxisConfig) -> Result<Vec<Vec<Baseline>>, Failure> {
+        if let Some(monitor) = pipeline.relative_mut() {
+            self.apply_relative(monitor, config)?;
+            return Ok(Vec::new());
+        }
         if let Some(cycles) = self.learn_cycles {
             check_cycles("--learn-cycles", cycles)?;
             pipeline
@@ -142,6 +151,17 @@ impl BaselineArguments {
             records.push(file.baselines);
         }
         Ok(records)
+    }
+
+    fn apply_relative(&self, monitor: &mut RelativeMonitor, config: &AxisConfig) -> Result<(), Failure> {
+        if let Some(cycles) = self.learn_cycles {
+            check_cycles("--learn-cycles", cycles)?;
+            monitor.learn("first cycles", cycles);
+            return Ok(());
+        }
+        let Some(path) = self.baseline.as_deref().or(config.baseline.file.as_deref()) else { return Ok(()) };
+        let baseline = baseline_file::read_relative(path, &config.axis)?;
+        monitor.follow(baseline).map_err(|error| Failure::configuration(path, error))
     }
 }
 

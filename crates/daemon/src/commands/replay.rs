@@ -125,13 +125,13 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         warn(&note);
     }
     out.summary(&summary, advice.as_deref())?;
-    if let Some(rate) = pipeline.wrong_rate_hz()
+    if let (Some(rate), Some(monitor)) = (pipeline.wrong_rate_hz(), pipeline.monitors().first())
         && summary.cycles == 0
     {
         return Err(Failure::data(format!(
             "the command comes at {rate:.1} Hz, the model reads {} Hz: no cycle could be used; train a model for this \
              rate (`controller.period_s` in the plant file)",
-            pipeline.monitors()[0].model().file().sample_rate_hz
+            monitor.model().file().sample_rate_hz
         )));
     }
     if !arguments.fail_on_fault {

@@ -23,6 +23,8 @@ use crate::failure::{Code, Failure};
 pub struct AxisConfig {
     /// Name of the machine axis in messages.
     pub axis: String,
+    /// What cycles are measured against.
+    pub monitor: KindConfig,
     /// Model file, relative to this file; absent: the one that the program brings.
     pub model: Option<PathBuf>,
     /// Several duty cycles of the axis, each with its own model; `model` and `baseline.file` are then left out.
@@ -55,6 +57,7 @@ impl Default for AxisConfig {
         let LogMapping { time_column, .. } = LogMapping::default();
         AxisConfig {
             axis: UNNAMED_AXIS.into(),
+            monitor: KindConfig::default(),
             model: None,
             duty_cycles: Vec::new(),
             reference_dp_pa: REFERENCE_DP_PA,
@@ -69,6 +72,25 @@ impl Default for AxisConfig {
             selection: Selection::default(),
         }
     }
+}
+
+/// `[monitor]`: what an axis's cycles are measured against.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct KindConfig {
+    /// A model, or the machine's own healthy cycles alone.
+    pub kind: MonitorKind,
+}
+
+/// What cycles are measured against.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MonitorKind {
+    /// A model, which tells sizes.
+    #[default]
+    Model,
+    /// The machine's own healthy cycles, where there is no model: that something has changed, and no size.
+    Relative,
 }
 
 /// `[[duty_cycles]]`: one of several duty cycles of an axis.
@@ -180,8 +202,16 @@ impl AxisConfig {
             ));
         }
         self.check_duty_cycles()?;
+        if self.is_relative() && (self.model.is_some() || !self.duty_cycles.is_empty()) {
+            return Err("monitor.kind is `relative`, which takes no model: leave out `model` and `duty_cycles`, or the kind".into());
+        }
         self.source.check()?;
         self.alarm.check().map_err(|error| error.to_string())
+    }
+
+    /// Whether there is no model: cycles are compared with the machine's own healthy ones alone.
+    pub fn is_relative(&self) -> bool {
+        self.monitor.kind == MonitorKind::Relative
     }
 
     fn check_duty_cycles(&self) -> Result<(), String> {
@@ -248,7 +278,7 @@ impl AxisConfig {
         }
     }
 
-    /// The duty cycles with their models.
+    /// The duty cycles with their models; none where the axis is watched without one.
     ///
     /// # Errors
     /// [`Failure`] where a file cannot be read or is no model, where models read at different rates, or where a baseline is asked for
@@ -272,6 +302,9 @@ impl AxisConfig {
     }
 
     fn read_models(&self) -> Result<Vec<DutyCycle>, Failure> {
+        if self.is_relative() {
+            return Ok(Vec::new());
+        }
         if self.duty_cycles.is_empty() {
             let model = self.model.as_deref().map_or_else(embedded_model, load_model)?;
             return Ok(vec![DutyCycle::only(model)]);

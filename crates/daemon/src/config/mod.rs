@@ -10,7 +10,10 @@ use serde::Deserialize;
 
 use crate::failure::Failure;
 
-pub use axis::{AxisConfig, BaselineConfig, DutyCycleConfig, Pace, SourceConfig, embedded_model, load_model};
+pub use axis::{
+    AxisConfig, BaselineConfig, DutyCycleConfig, KindConfig, MonitorKind, Pace, SourceConfig, embedded_model,
+    load_model,
+};
 pub use sinks::{
     CanOutConfig, CanOutField, CanValue, HttpConfig, MqttConfig, MqttVersion, RecordingConfig, SinksConfig,
 };

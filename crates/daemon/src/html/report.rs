@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use seepd_monitor::alarm::AlarmConfig;
 use seepd_monitor::baseline::Baseline;
 use seepd_monitor::event::{Flag, Summary};
-use seepd_monitor::reason::UNCONFIRMED;
+use seepd_monitor::reason::{NO_PLANT_MODEL, UNCONFIRMED};
 
 use super::chart::{Axis, Chart, Layer, Size};
 use super::flags::{self, colour};
@@ -79,6 +79,11 @@ impl ReportPage<'_> {
         page(&format!("{title} – seepd"), &body)
     }
 
+    /// Whether there is no model, and so never a size.
+    fn is_relative(&self) -> bool {
+        self.summary.size_withheld == Some(NO_PLANT_MODEL)
+    }
+
     fn reference_bar(&self) -> f64 {
         bar(self.summary.reference_dp_pa)
     }
@@ -102,6 +107,8 @@ impl ReportPage<'_> {
                 "Too few estimates in a row lie above a threshold to raise a flag.".into()
             }
             Flag::NoEstimate => format!("There is no estimate{why}."),
+            Flag::Healthy if self.is_relative() => "The machine is as it was at its baseline.".into(),
+            Flag::Watch if self.is_relative() => "The machine is not as it was at its baseline.".into(),
             Flag::Healthy if summary.size_withheld.is_some() => {
                 "Too few cycles have an estimate for a verdict on the machine.".into()
             }
@@ -136,7 +143,7 @@ impl ReportPage<'_> {
                     div { b { (format!("{:.2} L/min", last.leak_flow_lpm)) } span { "last cycle; 90 % interval "
                         (format!("{:.2} … {:.2}", self.flow_lpm(last.interval_m2[0]), self.flow_lpm(last.interval_m2[1]))) } }
                 }
-                div { b { (summary.cycles) } span { "cycles with an estimate, " (rejected) " rejected" } }
+                div { b { (summary.cycles) } span { @if self.is_relative() { "cycles compared with the baseline, " (rejected) " others" } @else { "cycles with an estimate, " (rejected) " rejected" } } }
                 div { b { (duration_text(summary.duration_s)) } span { (self.record.logs.len()) " log" @if self.record.logs.len() != 1 { "s" }
                     @if let Some(start) = self.record.logs.first().and_then(|log| log.start_ns) { ", from " (time_text(start)) } } }
             }
@@ -274,8 +281,9 @@ impl ReportPage<'_> {
         let changes: Vec<(f64, Flag)> =
             self.record.changes.iter().map(|change| (change.cycle as f64, change.to)).collect();
         html! {
-            p.soft { "A flag rises after " (self.alarm.raise_cycles) " cycles in a row at or above its threshold, and falls after "
-                (self.alarm.clear_cycles) " below " (self.alarm.clear_share * 100.0) " % of it." }
+            @if self.is_relative() { p.soft { "The flag rises after " (self.alarm.raise_cycles) " cycles in a row in which the sums over cycles find a change, and falls after " (self.alarm.clear_cycles) " without one." } }
+            @else { p.soft { "A flag rises after " (self.alarm.raise_cycles) " cycles in a row at or above its threshold, and falls after "
+                (self.alarm.clear_cycles) " below " (self.alarm.clear_share * 100.0) " % of it." } }
             @if changes.is_empty() { p { "No flag was set, as there was no cycle to base one on." } }
             @else {
                 (flags::chart(self.cycle_axis("cycle"), &changes).render())

@@ -19,8 +19,8 @@ pub use order::{NotTaken, Order};
 use publication::{Acknowledged, Envelope, Subscriber, TestAlarm};
 pub use publication::{Kind, Publication, Subscription};
 pub use status::{
-    AxisStatus, AxisView, BaselineStatus, Course, DutyCycleStatus, LIVE_POINTS, SinkStatus, SourceHealth,
-    SourceState, TrendPoint,
+    AxisStatus, AxisView, BaselineStatus, Course, DutyCycleStatus, LIVE_POINTS, RelativeStatus, SinkStatus,
+    SourceHealth, SourceState, TrendPoint,
 };
 
 /// Events other than cycles that are kept for who asks later.

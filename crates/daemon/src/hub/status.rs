@@ -7,6 +7,7 @@ use seepd_monitor::energy::Loss;
 use seepd_monitor::event::Flag;
 use seepd_monitor::pipeline::Monitor;
 use seepd_monitor::reason::NO_CYCLE_YET;
+use seepd_monitor::relative::RelativeMonitor;
 use serde::{Deserialize, Serialize};
 
 /// Cycles whose course is kept for the dashboard.
@@ -63,6 +64,9 @@ pub struct AxisStatus {
     pub duty_cycles: Vec<DutyCycleStatus>,
     /// What the sums over cycles say against the baseline.
     pub finding: CusumFinding,
+    /// What has changed since the baseline, on an axis without a model; absent elsewhere.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub relative: Option<RelativeStatus>,
     /// Number of the last cycle.
     pub cycle: Option<u64>,
     /// End of the last cycle, ns on the daemon's line of time.
@@ -105,6 +109,7 @@ impl AxisStatus {
             baseline: BaselineStatus::default(),
             duty_cycles: Vec::new(),
             finding: CusumFinding::None,
+            relative: None,
             cycle: None,
             t_last_cycle_ns: None,
             publication_delay_s: None,
@@ -135,6 +140,28 @@ impl DutyCycleStatus {
     }
 }
 
+/// What has changed on an axis without a model.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct RelativeStatus {
+    /// Whether something has.
+    pub changed: bool,
+    /// About when it began, ns on the daemon's line of time.
+    pub since_ns: Option<i64>,
+    /// What has changed, the surest first: `mean.PHASE`, `rise.PHASE`.
+    pub features: Vec<String>,
+}
+
+impl RelativeStatus {
+    /// What a monitor has found.
+    pub fn of(monitor: &RelativeMonitor) -> Self {
+        monitor.change().map_or_else(Self::default, |change| RelativeStatus {
+            changed: true,
+            since_ns: Some(change.onset_ns),
+            features: change.features,
+        })
+    }
+}
+
 /// What a duty cycle's estimates are relative to.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct BaselineStatus {
@@ -147,6 +174,15 @@ pub struct BaselineStatus {
 }
 
 impl BaselineStatus {
+    /// What an axis without a model is at.
+    pub fn of_relative(monitor: &RelativeMonitor) -> Self {
+        BaselineStatus {
+            learned_cycles: monitor.baseline().map(|baseline| baseline.cycles),
+            occasion: monitor.baseline().map(|baseline| baseline.occasion.clone()),
+            learning: monitor.learner().map(|learner| [learner.cycles(), learner.wanted()]),
+        }
+    }
+
     /// What a duty cycle's monitor is at.
     pub fn of(monitor: &Monitor) -> Self {
         BaselineStatus {

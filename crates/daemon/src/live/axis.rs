@@ -10,11 +10,12 @@ use seepd_monitor::baseline::CusumFinding;
 use seepd_monitor::baseline::trend::TimeTo;
 use seepd_monitor::event::{CycleLine, Event, Flag, NoticeKind};
 use seepd_monitor::pipeline::{DutyCycle, Monitor, Pipeline};
-use seepd_monitor::reason::NO_CYCLE_YET;
+use seepd_monitor::reason::{LEARNING_BASELINE, NO_CYCLE_YET};
 use seepd_signals::{Sample, Signal};
 use tokio::sync::{mpsc, watch};
 
 use super::commission::BaselineRecord;
+use super::relative::RelativeRecord;
 use super::source::{Input, LiveSource};
 use super::state::{AxisState, DutyCycleState, Keeper, LastEstimate};
 use super::systemd::ENDED;
@@ -22,7 +23,8 @@ use crate::advice::advice;
 use crate::clock::Clock;
 use crate::config::{AxisConfig, Pace};
 use crate::hub::{
-    AxisStatus, BaselineStatus, Course, DutyCycleStatus, Hub, LIVE_POINTS, Order, SourceState, TrendPoint,
+    AxisStatus, BaselineStatus, Course, DutyCycleStatus, Hub, LIVE_POINTS, Order, RelativeStatus,
+    SourceState, TrendPoint,
 };
 use crate::sink::recording::Recorder;
 
@@ -30,6 +32,8 @@ use crate::sink::recording::Recorder;
 const POINT_NS: i64 = 20_000_000;
 /// Conditions are told to the hub this often, ns.
 const TELL_NS: i64 = 200_000_000;
+/// Longest cycle whose curve is drawn where nobody knows beforehand how long cycles are, s.
+const UNKNOWN_PERIOD_S: f64 = 60.0;
 /// While there is no estimate the command is looked at this often, ns.
 const LOOK_NS: i64 = 10_000_000_000;
 
@@ -71,6 +75,10 @@ pub(super) async fn run(
     for (record, monitor) in reporter.records.iter_mut().zip(pipeline.monitors_mut()) {
         let state = of_duty_cycles.and_then(|states| states.get(monitor.name().unwrap_or_default()));
         record.commission(monitor, state.copied().unwrap_or_default());
+    }
+    if let (Some(record), Some(monitor)) = (&mut reporter.relative, pipeline.relative_mut()) {
+        record
+            .commission(monitor, state.as_ref().and_then(|state| state.relative.clone()).unwrap_or_default());
     }
     if let Some(state) = state {
         pipeline.restore(Alarm::from(state.alarm));
@@ -119,6 +127,8 @@ struct AxisReporter<'a> {
     latch: Latch,
     /// Baselines on disk, one record a duty cycle.
     records: Vec<BaselineRecord>,
+    /// The same of an axis without a model.
+    relative: Option<RelativeRecord>,
     /// A baseline has been learned and is not on disk yet.
     learned: bool,
     /// Why it is not; told once.
@@ -161,7 +171,10 @@ struct LastCycle {
 impl<'a> AxisReporter<'a> {
     fn new(config: &'a AxisConfig, pipeline: &Pipeline, context: &'a AxisContext) -> Self {
         let now_ns = context.clock.now_ns();
-        let period_s = DutyCycle::longest_period_s(&pipeline.config().duty_cycles);
+        let period_s = match pipeline.relative() {
+            Some(_) => UNKNOWN_PERIOD_S,
+            None => DutyCycle::longest_period_s(&pipeline.config().duty_cycles),
+        };
         let cycle_points = 3.5 * period_s * 1e9 / POINT_NS as f64;
         let record = |monitor| BaselineRecord::open(&context.folder, config, monitor);
         AxisReporter {
@@ -169,6 +182,7 @@ impl<'a> AxisReporter<'a> {
             context,
             latch: Latch::default(),
             records: pipeline.monitors().iter().enumerate().map(record).collect(),
+            relative: pipeline.relative().map(|_| RelativeRecord::open(&context.folder, config)),
             learned: false,
             unsaved: None,
             duty_cycle: 0,
@@ -340,11 +354,14 @@ impl<'a> AxisReporter<'a> {
         let has_begun = |(record, monitor): (&BaselineRecord, &Monitor)| {
             record.is_renewing() && monitor.learner().is_some_and(|learner| learner.cycles() == 0)
         };
-        if self.records.iter().zip(pipeline.monitors()).all(has_begun) {
+        if self.relative.is_none() && self.records.iter().zip(pipeline.monitors()).all(has_begun) {
             return;
         }
         tracing::info!(axis = self.config.axis, "a new baseline will be learned from the next cycles");
         for (record, monitor) in self.records.iter_mut().zip(pipeline.monitors_mut()) {
+            record.renew(monitor);
+        }
+        if let (Some(record), Some(monitor)) = (&mut self.relative, pipeline.relative_mut()) {
             record.renew(monitor);
         }
         self.news = true;
@@ -358,6 +375,10 @@ impl<'a> AxisReporter<'a> {
         }
         let mut records = self.records.iter_mut().zip(pipeline.monitors());
         let kept = records.try_for_each(|(record, monitor)| record.keep(monitor));
+        let kept = kept.and_then(|()| match (&mut self.relative, pipeline.relative()) {
+            (Some(record), Some(monitor)) => record.keep(monitor),
+            _ => Ok(()),
+        });
         self.learned = kept.is_err();
         let unsaved = kept.err().map(|error| format!("the baseline cannot be written: {error}"));
         if unsaved != self.unsaved {
@@ -380,6 +401,11 @@ impl<'a> AxisReporter<'a> {
             latch: self.latch,
             estimate: self.estimate,
             duty_cycles: self.records.iter().zip(pipeline.monitors()).map(of_duty_cycle).collect(),
+            relative: self
+                .relative
+                .as_ref()
+                .zip(pipeline.relative())
+                .map(|(record, monitor)| record.state(monitor)),
         };
         self.context.keeper.keep(&self.config.axis, state);
     }
@@ -402,7 +428,10 @@ impl<'a> AxisReporter<'a> {
     fn look_again(&mut self, pipeline: &Pipeline) {
         let now_ns = self.context.clock.now_ns();
         let is_due = |looked_ns: i64| now_ns.saturating_sub(looked_ns) >= LOOK_NS;
-        let is_lost = pipeline.alarm().reason().is_some_and(|reason| reason != NO_CYCLE_YET);
+        let is_lost = pipeline
+            .alarm()
+            .reason()
+            .is_some_and(|reason| ![NO_CYCLE_YET, LEARNING_BASELINE].contains(&reason));
         if !is_lost || self.stale {
             self.advice = LiveAdvice::default();
         } else if self.advice.looked_ns.is_none_or(is_due) {
@@ -424,7 +453,10 @@ impl<'a> AxisReporter<'a> {
         let monitors = pipeline.monitors();
         let finding = pipeline.finding();
         let time_to_leak = self.time_to_leak.filter(|_| finding == CusumFinding::Leak);
-        let baseline = monitors.get(self.duty_cycle).map(BaselineStatus::of).unwrap_or_default();
+        let of_model = monitors.get(self.duty_cycle).map(BaselineStatus::of);
+        let of_relative = || pipeline.relative().map(BaselineStatus::of_relative);
+        let baseline = of_model.or_else(of_relative).unwrap_or_default();
+        let relative = pipeline.relative().map(RelativeStatus::of);
         let duty_cycles = monitors.iter().filter_map(DutyCycleStatus::of).collect();
         self.look_again(pipeline);
         let (advice, observed_period_s) = (self.advice.text.clone(), self.advice.period_s);
@@ -449,6 +481,7 @@ impl<'a> AxisReporter<'a> {
                 baseline,
                 duty_cycles,
                 finding,
+                relative,
                 cycle: last.map(|last| last.cycle),
                 t_last_cycle_ns: last.map(|last| last.end_ns),
                 publication_delay_s: last.and_then(|last| last.delay_s),

@@ -5,6 +5,7 @@
 
 mod axis;
 mod commission;
+mod relative;
 mod sinks;
 pub mod socketcan;
 mod source;
@@ -179,7 +180,7 @@ impl Daemon {
 
     fn prepare(&self, config: &AxisConfig) -> Result<ReadyAxis, Failure> {
         let duty_cycles = config.load_models()?;
-        let rate_hz = duty_cycles.first().map_or(0.0, |first| first.model.file().sample_rate_hz);
+        let rate_hz = duty_cycles.first().map(|first| first.model.file().sample_rate_hz);
         let source = LiveSource::open(config, rate_hz, self.clock)?;
         Ok(ReadyAxis { config: config.clone(), duty_cycles, source })
     }

@@ -57,11 +57,17 @@ impl CanSource {
     ///
     /// # Errors
     /// [`Failure`] where the mapping is none of frames.
-    pub fn new(config: &AxisConfig, rate_hz: f64, clock: Clock) -> Result<Self, Failure> {
+    pub fn new(config: &AxisConfig, rate_hz: Option<f64>, clock: Clock) -> Result<Self, Failure> {
         let place = config.source.can.clone().unwrap_or_default();
+        let decoder = frame_decoder(&config.log_mapping())?;
+        // Without a model nobody knows the rate that a counter stands for, and stamps must do.
+        let decoder = match rate_hz {
+            Some(rate_hz) => decoder.timed_by_counter(rate_hz),
+            None => decoder,
+        };
         Ok(CanSource {
             receive_buffer_bytes: config.source.receive_buffer_bytes,
-            decoder: frame_decoder(&config.log_mapping())?.timed_by_counter(rate_hz),
+            decoder,
             port: None,
             clock,
             health: SourceHealth { name: place.clone(), ..SourceHealth::default() },

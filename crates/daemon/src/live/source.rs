@@ -37,11 +37,11 @@ pub(super) enum LiveSource {
 }
 
 impl LiveSource {
-    /// Opens an axis's source, for a model of a rate, Hz. A bus that is not there yet is no error.
+    /// Opens an axis's source, for a model of a rate, Hz, where there is one. A bus that is not there yet is no error.
     ///
     /// # Errors
     /// [`Failure`] where there is neither a bus nor a log, the log is a file that cannot be read, or the mapping fits neither.
-    pub(super) fn open(config: &AxisConfig, rate_hz: f64, clock: Clock) -> Result<Self, Failure> {
+    pub(super) fn open(config: &AxisConfig, rate_hz: Option<f64>, clock: Clock) -> Result<Self, Failure> {
         match (&config.source.can, &config.source.log) {
             (Some(_), _) => Ok(LiveSource::Can(Box::new(CanSource::new(config, rate_hz, clock)?))),
             (None, Some(log)) => Ok(LiveSource::Log(Box::new(PlayedLog::open(log, config, clock)?))),

@@ -12,6 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use seepd_monitor::alarm::{AlarmState, Latch};
 use seepd_monitor::baseline::Cusum;
+use seepd_monitor::relative::charts::Sums;
 use seepd_settings::side_file;
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
@@ -44,6 +45,18 @@ pub struct AxisState {
     /// What is kept of each duty cycle, by its name; the only one of an axis has none.
     #[serde(default)]
     pub duty_cycles: BTreeMap<String, DutyCycleState>,
+    /// What is kept of an axis without a model.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub relative: Option<RelativeState>,
+}
+
+/// What is kept of an axis without a model.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct RelativeState {
+    /// The sums against the baseline.
+    pub sums: Option<Sums>,
+    /// Whether a new baseline is being learned in the place of an older one.
+    pub renewing: bool,
 }
 
 /// What is kept of a duty cycle.
@@ -59,7 +72,13 @@ pub struct DutyCycleState {
 impl AxisState {
     /// The state of an alarm of which nothing else is known.
     fn of_alarm(alarm: AlarmState) -> Self {
-        AxisState { alarm, latch: Latch::default(), estimate: None, duty_cycles: BTreeMap::new() }
+        AxisState {
+            alarm,
+            latch: Latch::default(),
+            estimate: None,
+            duty_cycles: BTreeMap::new(),
+            relative: None,
+        }
     }
 }
 

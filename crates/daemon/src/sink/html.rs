@@ -181,7 +181,7 @@ impl HtmlSink {
     /// A sample, in the pipeline's time and before the pipeline hears of it.
     pub fn take_sample(&mut self, sample: &Sample) {
         let Some(command) = sample.get(Signal::Command) else { return };
-        if self.ring.len() == self.ring_samples {
+        if self.ring.len() >= self.ring_samples {
             self.ring.pop_front();
         }
         self.ring.push_back((sample.time_ns, command as f32));

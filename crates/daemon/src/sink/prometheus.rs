@@ -110,13 +110,16 @@ fn register_baseline(registry: &mut Registry, axes: &[AxisStatus]) {
         learning,
     );
     let family = Gauges::default();
-    for axis in axes.iter().filter(|axis| axis.baseline.learned_cycles.is_some()) {
+    let has_finding = |axis: &&AxisStatus| axis.baseline.learned_cycles.is_some() && axis.relative.is_none();
+    for axis in axes.iter().filter(has_finding) {
         for finding in FINDINGS {
             let labels = vec![("axis", axis.axis.clone()), ("finding", finding.name().to_owned())];
             family.get_or_create(&labels).set(f64::from(u8::from(axis.finding == finding)));
         }
     }
     registry.register("finding", "1 for the present finding of the CUSUM against the baseline", family);
+    let changed = with(|axis| axis.relative.as_ref().map(|relative| f64::from(u8::from(relative.changed))));
+    gauges(registry, "changed", "1 where an axis without a model has changed since its baseline", changed);
     gauges(
         registry,
         "time_to_leak_s",

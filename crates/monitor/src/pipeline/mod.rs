@@ -8,11 +8,12 @@ mod arbiter;
 mod monitor;
 pub mod observer;
 mod progress;
+mod relative;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use seepd_features::{Counts, ReaderError, Reason};
+use seepd_features::{Counts, CycleReader, CycleState, ReaderError, Reason};
 use seepd_model::Model;
 use seepd_signals::Sample;
 
@@ -20,7 +21,8 @@ use crate::alarm::{Alarm, AlarmConfig};
 use crate::baseline::{BaselineError, CusumFinding};
 use crate::energy::Loss;
 use crate::event::{Event, LPM_PER_M3_PER_S, Summary};
-use crate::reason::{NO_CYCLE_FOUND, STALE, TOO_FEW_ESTIMATES};
+use crate::reason::{NO_CYCLE_FOUND, NO_PLANT_MODEL, STALE, TOO_FEW_ESTIMATES};
+use crate::relative::RelativeMonitor;
 
 use arbiter::Arbiter;
 pub use monitor::{DutyCycle, Monitor};
@@ -32,7 +34,7 @@ use progress::Progress;
 pub struct MonitorConfig {
     /// Machine axis, for messages.
     pub axis: String,
-    /// Its duty cycles, at least one; their models read at the same rate.
+    /// Its duty cycles, whose models read at the same rate; none: the axis is watched relative to its own healthy cycles, without sizes.
     pub duty_cycles: Vec<DutyCycle>,
     /// Alarm thresholds.
     pub alarm: AlarmConfig,
@@ -60,6 +62,8 @@ pub struct Pipeline {
     period_s: f64,
     progress: Progress,
     observer: CommandObserver,
+    /// Where there is no model.
+    relative: Option<RelativeMonitor>,
 }
 
 impl Pipeline {
@@ -68,6 +72,7 @@ impl Pipeline {
     /// # Errors
     /// [`ReaderError`] of a model that has more features, phases or bins than the reader has room for.
     pub fn new(config: MonitorConfig) -> Result<Self, ReaderError> {
+        let relative = config.duty_cycles.is_empty().then(RelativeMonitor::default);
         let monitors: Vec<_> = config.duty_cycles.iter().map(Monitor::new).collect::<Result<_, _>>()?;
         Ok(Pipeline {
             arbiter: Arbiter::new(monitors.len()),
@@ -76,6 +81,7 @@ impl Pipeline {
             monitors,
             progress: Progress::default(),
             observer: CommandObserver::default(),
+            relative,
         })
     }
 
@@ -99,8 +105,12 @@ impl Pipeline {
     pub fn push(&mut self, sample: &Sample, sink: &mut impl FnMut(&Event<'_>)) {
         self.progress.note_time(sample.time_ns);
         self.observer.take(sample);
-        if let [Monitor { reader, state, estimator }] = self.monitors.as_mut_slice() {
-            let (config, progress) = (&self.config, &mut self.progress);
+        let (config, progress) = (&self.config, &mut self.progress);
+        if let Some(relative) = &mut self.relative {
+            relative.push(sample, &self.observer, &mut |estimator, outcome| {
+                progress.take_relative(config, estimator, outcome, sink);
+            });
+        } else if let [Monitor { reader, state, estimator }] = self.monitors.as_mut_slice() {
             reader
                 .get()
                 .push(state, sample, &mut |outcome| progress.take(config, estimator, &outcome, false, sink));
@@ -108,7 +118,8 @@ impl Pipeline {
             self.push_to_all(sample, sink);
         }
         let silent_ns = sample.time_ns.saturating_sub(self.progress.last_cycle_ns);
-        if silent_ns as f64 > PATIENCE_PERIODS * self.period_s * 1e9 {
+        let period_s = self.relative.as_ref().map_or(self.period_s, RelativeMonitor::period_s);
+        if silent_ns as f64 > PATIENCE_PERIODS * period_s * 1e9 {
             self.lose_patience(sink);
         }
     }
@@ -148,6 +159,9 @@ impl Pipeline {
         self.progress.last_cycle_ns = self.progress.newest_ns;
         let reason = self.silence_reason();
         self.progress.lose(&self.config, reason, sink);
+        if let Some(relative) = &mut self.relative {
+            relative.doubt();
+        }
     }
 
     /// The input has gone; what was under way is kept, in case it comes back.
@@ -185,9 +199,9 @@ impl Pipeline {
 
     /// Why there have been no cycles for long.
     fn silence_reason(&self) -> &'static str {
-        let Some(Monitor { reader, state, .. }) = self.monitors.first() else { return NO_CYCLE_FOUND };
+        let Some((reader, state)) = self.reading() else { return NO_CYCLE_FOUND };
         let counts = state.counts();
-        let long = reader.get().definition().cycle_samples() as i64;
+        let long = reader.definition().cycle_samples() as i64;
         if state.wrong_rate_hz().is_some() {
             Reason::WrongRate.name()
         } else if counts.not_a_number * 2 > counts.samples {
@@ -207,8 +221,14 @@ impl Pipeline {
             let reason = self.silence_reason();
             self.progress.alarm.lost(reason);
         }
+        let (config, progress) = (&self.config, &mut self.progress);
+        if let Some(relative) = &mut self.relative {
+            relative.finish(&mut |estimator, outcome| {
+                progress.take_relative(config, estimator, outcome, sink);
+            });
+            return;
+        }
         if let [Monitor { reader, state, estimator }] = self.monitors.as_mut_slice() {
-            let (config, progress) = (&self.config, &mut self.progress);
             reader
                 .get()
                 .finish(state, &mut |outcome| progress.take(config, estimator, &outcome, false, sink));
@@ -221,22 +241,38 @@ impl Pipeline {
         self.settle(i64::MAX, sink);
     }
 
+    /// The reader of the first duty cycle, and what it remembers.
+    fn reading(&self) -> Option<(&CycleReader<'_>, &CycleState<Vec<f32>>)> {
+        let of_model = self.monitors.first().map(|monitor| (monitor.reader.get(), &monitor.state));
+        of_model.or_else(|| self.relative.as_ref()?.reading())
+    }
+
+    /// What watches an axis without a model.
+    pub fn relative(&self) -> Option<&RelativeMonitor> {
+        self.relative.as_ref()
+    }
+
+    /// The same, to set its baseline.
+    pub fn relative_mut(&mut self) -> Option<&mut RelativeMonitor> {
+        self.relative.as_mut()
+    }
+
     /// Samples used and left out so far. Every monitor reads the same samples.
     pub fn counts(&self) -> Counts {
-        self.monitors.first().map(|monitor| *monitor.state.counts()).unwrap_or_default()
+        self.reading().map(|(_, state)| *state.counts()).unwrap_or_default()
     }
 
     /// The samples' rate, Hz, where it is not the model's.
     pub fn wrong_rate_hz(&self) -> Option<f64> {
-        self.monitors.first().and_then(|monitor| monitor.state.wrong_rate_hz())
+        self.reading().and_then(|(_, state)| state.wrong_rate_hz())
     }
 
     /// What it all comes to.
     pub fn summary(&self) -> Summary {
         let progress = &self.progress;
-        let is_sized = self.is_sized();
+        let size_withheld = self.size_withheld();
         let of_duty_cycle = |monitor: &Monitor| Some((monitor.name()?.to_owned(), monitor.cycles()));
-        let area = progress.recent_area_m2().filter(|_| is_sized);
+        let area = progress.recent_area_m2().filter(|_| size_withheld.is_none());
         Summary {
             schema: "seepd.summary/1",
             axis: self.config.axis.to_owned(),
@@ -249,8 +285,8 @@ impl Pipeline {
             reason: progress.alarm.reason(),
             leak_area_m2: area,
             leak_flow_lpm: area.map(|area| self.config.flow_lpm(area)),
-            size_withheld: (!is_sized).then_some(TOO_FEW_ESTIMATES),
-            observed: (!is_sized).then(|| self.observation()),
+            size_withheld,
+            observed: size_withheld.map(|_| self.observation()),
             loss: area.map(|area| self.config.loss(self.config.flow_lpm(area))),
             reference_dp_pa: self.config.reference_dp_pa,
             highest_flag: progress.alarm.highest(),
@@ -260,9 +296,14 @@ impl Pipeline {
         }
     }
 
-    /// Whether enough cycles have an estimate for a size of the record's leak: a few, and half of all.
-    fn is_sized(&self) -> bool {
-        self.progress.valid >= LEAST_ESTIMATES && 2 * self.progress.valid >= self.progress.cycle
+    /// Why there is no size of the record's leak: it takes a model, and estimates of a few cycles and of half of all.
+    fn size_withheld(&self) -> Option<&'static str> {
+        let Progress { valid, cycle, .. } = self.progress;
+        let is_sized = valid >= LEAST_ESTIMATES && 2 * valid >= cycle;
+        match &self.relative {
+            Some(_) => Some(NO_PLANT_MODEL),
+            None => (!is_sized).then_some(TOO_FEW_ESTIMATES),
+        }
     }
 
     /// What the command looks like by itself. Looking for its period takes a millisecond.

@@ -22,10 +22,14 @@ const BRIDGED_BINS: i64 = 50;
 const LEAST_LAG: usize = 16;
 /// Periods that must be there for one to be told.
 const TOLD_PERIODS: f64 = 2.5;
+/// Periods that must be there for a mean cycle.
+const PATTERN_PERIODS: f64 = 5.0;
 /// Between the strokes of a cycle the command is unlike itself: the correlation must have fallen below this before it comes back.
 const DIP: f64 = 0.5;
 /// From this correlation on the command repeats.
 const REPEATS: f64 = 0.7;
+/// Rates this close to whole numbers are these.
+const WHOLE_SHARE: f64 = 0.002;
 /// Of two lags that are alike to within this, the shorter one is the period, and the longer one a multiple of it.
 const ALIKE: f64 = 0.05;
 
@@ -54,6 +58,39 @@ pub(crate) struct CommandObserver {
     count: u32,
     mean: f32,
     scales: [Scale; SCALES],
+    /// First and last sample since the rings began, ns, and the samples between.
+    stretch: Option<Stretch>,
+}
+
+/// Samples without a long silence between them.
+#[derive(Debug, Clone, Copy)]
+struct Stretch {
+    first_ns: i64,
+    last_ns: i64,
+    intervals: u64,
+}
+
+impl Stretch {
+    fn rate_hz(&self) -> Option<f64> {
+        let length_s = self.last_ns.saturating_sub(self.first_ns) as f64 / 1e9;
+        let rate_hz = self.intervals as f64 / length_s;
+        let whole_hz = rate_hz.round();
+        let is_whole = (rate_hz - whole_hz).abs() < WHOLE_SHARE * rate_hz;
+        (length_s > 0.0).then_some(if is_whole { whole_hz } else { rate_hz })
+    }
+}
+
+/// A stretch of a command that repeats.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Pattern {
+    /// Means over bins, at least five periods.
+    pub(crate) values: Vec<f32>,
+    /// Length of a bin, s.
+    pub(crate) bin_s: f64,
+    /// Period, bins.
+    pub(crate) period_bins: f64,
+    /// Rate of the samples, Hz.
+    pub(crate) sample_rate_hz: f64,
 }
 
 /// At what lag, in bins, a ring's values are most like themselves, and how much.
@@ -83,7 +120,7 @@ impl Default for Scale {
 impl Default for CommandObserver {
     fn default() -> Self {
         let scales = std::array::from_fn(|_| Scale::default());
-        CommandObserver { range: None, bin: None, sum: 0.0, count: 0, mean: 0.0, scales }
+        CommandObserver { range: None, bin: None, sum: 0.0, count: 0, mean: 0.0, scales, stretch: None }
     }
 }
 
@@ -100,6 +137,11 @@ impl CommandObserver {
         }
         self.sum += command;
         self.count += 1;
+        let time_ns = sample.time_ns;
+        match &mut self.stretch {
+            Some(stretch) => (stretch.last_ns, stretch.intervals) = (time_ns, stretch.intervals + 1),
+            None => self.stretch = Some(Stretch { first_ns: time_ns, last_ns: time_ns, intervals: 0 }),
+        }
     }
 
     fn begin_bin(&mut self, bin: i64) {
@@ -111,6 +153,7 @@ impl CommandObserver {
         (self.sum, self.count) = (0.0, 0);
         if !(0..=BRIDGED_BINS).contains(&since) {
             self.scales = std::array::from_fn(|_| Scale::default());
+            self.stretch = None;
         } else {
             (0..since).for_each(|_| self.push(self.mean));
         }
@@ -135,6 +178,13 @@ impl CommandObserver {
             looked_s: self.with_lengths().map(looked).fold(0.0, f64::max),
             wrong_rate_hz: None,
         }
+    }
+
+    /// The stretch over which the command repeats, where it does so often enough for a mean cycle.
+    pub(crate) fn pattern(&self) -> Option<Pattern> {
+        let (scale, bin_s, found) = self.repetition(PATTERN_PERIODS)?;
+        let sample_rate_hz = self.stretch?.rate_hz()?;
+        Some(Pattern { values: scale.values().to_vec(), bin_s, period_bins: found.lag, sample_rate_hz })
     }
 
     /// The ring in which the command repeats, the length of its bins, s, and the period.
@@ -181,6 +231,11 @@ impl Scale {
         let mut values = self.bins;
         values.rotate_left(self.pushed.saturating_sub(self.filled()) % BINS);
         values
+    }
+
+    /// The values from the oldest on.
+    fn values(&self) -> Vec<f32> {
+        self.ordered().into_iter().take(self.filled()).collect()
     }
 
     /// The lag at which the ring's values are most like themselves, if so many periods are there.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use seepd_features::{Outcome, ValidCycle};
+use seepd_features::{Outcome, RejectedCycle, ValidCycle};
 use seepd_model::OutOfDistribution;
 
 use super::MonitorConfig;
@@ -15,8 +15,9 @@ use crate::event::{
 };
 use crate::reason::{UNLIKE_BASELINE, UNLIKE_TRAINING};
 
-/// Rejections by reason, in order of first appearance: those of [`Reason`](seepd_features::Reason), and [`UNLIKE_BASELINE`] and [`UNLIKE_TRAINING`].
-const REASONS: usize = 10;
+/// Rejections by reason, in order of first appearance: those of [`Reason`](seepd_features::Reason), and [`UNLIKE_BASELINE`],
+/// [`UNLIKE_TRAINING`] and [`LEARNING_BASELINE`](crate::reason::LEARNING_BASELINE).
+const REASONS: usize = 12;
 /// Estimates whose median is the summary's.
 const RECENT: usize = 9;
 /// Cycles in a row that are unlike the baseline or training before a person is told.
@@ -47,7 +48,7 @@ impl Progress {
         self.newest_ns = time_ns;
     }
 
-    fn seconds(&self, time_ns: i64) -> f64 {
+    pub(super) fn seconds(&self, time_ns: i64) -> f64 {
         time_ns.saturating_sub(self.first_ns.unwrap_or(0)) as f64 / 1e9
     }
 
@@ -72,29 +73,48 @@ impl Progress {
         found_elsewhere: bool,
         sink: &mut impl FnMut(&Event<'_>),
     ) {
-        let (start_ns, end_ns) = match outcome {
-            Outcome::Valid(valid) => (valid.start_ns, valid.end_ns),
-            Outcome::Rejected(rejected) => (rejected.start_ns, rejected.end_ns),
-        };
+        let (_, end_ns) = span_of(outcome);
         self.last_cycle_ns = end_ns.max(self.last_cycle_ns.min(self.newest_ns));
         let change = match outcome {
             Outcome::Valid(valid) => self.take_valid(config, estimator, valid, found_elsewhere, sink),
-            Outcome::Rejected(rejected) => {
-                let reason = rejected.reason.name();
-                self.count_rejection(reason);
-                let line = CycleLine { reason: Some(reason), ..self.blank_line(config, start_ns, end_ns) };
-                sink(&Event::Cycle(line));
-                self.alarm.rejected(&config.alarm, reason)
-            }
+            Outcome::Rejected(rejected) => self.reject(config, rejected, sink),
         };
+        self.end_cycle(config, change, end_ns, sink);
+    }
+
+    pub(super) fn end_cycle(
+        &mut self,
+        config: &MonitorConfig,
+        change: Option<Change>,
+        end_ns: i64,
+        sink: &mut impl FnMut(&Event<'_>),
+    ) {
         if let Some(change) = change {
             sink(&self.flag_event(config, change, end_ns));
         }
         self.cycle += 1;
     }
 
+    pub(super) fn reject(
+        &mut self,
+        config: &MonitorConfig,
+        rejected: &RejectedCycle,
+        sink: &mut impl FnMut(&Event<'_>),
+    ) -> Option<Change> {
+        let reason = rejected.reason.name();
+        self.count_rejection(reason);
+        let blank = self.blank_line(config, rejected.start_ns, rejected.end_ns);
+        sink(&Event::Cycle(CycleLine { reason: Some(reason), ..blank }));
+        self.alarm.rejected(&config.alarm, reason)
+    }
+
     /// A cycle's line without an estimate.
-    fn blank_line<'l>(&self, config: &'l MonitorConfig, start_ns: i64, end_ns: i64) -> CycleLine<'l> {
+    pub(super) fn blank_line<'l>(
+        &self,
+        config: &'l MonitorConfig,
+        start_ns: i64,
+        end_ns: i64,
+    ) -> CycleLine<'l> {
         CycleLine {
             schema: "seepd.cycle/1",
             axis: &config.axis,
@@ -111,6 +131,7 @@ impl Progress {
             reason: None,
             absolute: None,
             comparison: None,
+            relative: None,
             features: None,
         }
     }
@@ -169,7 +190,7 @@ impl Progress {
                 Ok(text) => (NoticeKind::BaselineLearned, text),
                 Err(text) => (NoticeKind::BaselineFailed, text),
             };
-            self.tell(config, estimator, news, valid.end_ns, sink);
+            self.tell(config, estimator.name.as_deref(), news, valid.end_ns, sink);
         }
         change
     }
@@ -200,13 +221,13 @@ impl Progress {
                     (NoticeKind::LeakGone, "the leakage is that of the baseline again".to_owned())
                 }
             };
-            self.tell(config, estimator, news, at_ns, sink);
+            self.tell(config, estimator.name.as_deref(), news, at_ns, sink);
         }
         let before = std::mem::replace(&mut estimator.announced.load, compared.load);
         if compared.load == LoadKnowledge::Frozen && before != LoadKnowledge::Frozen {
             let text = "the load signal stands still over a whole cycle and is not used; check its sensor"
                 .to_owned();
-            self.tell(config, estimator, (NoticeKind::LoadFrozen, text), at_ns, sink);
+            self.tell(config, estimator.name.as_deref(), (NoticeKind::LoadFrozen, text), at_ns, sink);
         }
     }
 
@@ -243,21 +264,18 @@ impl Progress {
             );
             (NoticeKind::UnlikeTraining, text)
         };
-        self.tell(config, estimator, news, at_ns, sink);
+        self.tell(config, estimator.name.as_deref(), news, at_ns, sink);
     }
 
-    fn tell(
+    pub(super) fn tell(
         &self,
         config: &MonitorConfig,
-        estimator: &CycleEstimator,
+        duty_cycle: Option<&str>,
         (notice, text): (NoticeKind, String),
         at_ns: i64,
         sink: &mut impl FnMut(&Event<'_>),
     ) {
-        let text = estimator
-            .name
-            .as_deref()
-            .map_or_else(|| text.clone(), |name| format!("duty cycle {name}: {text}"));
+        let text = duty_cycle.map_or_else(|| text.clone(), |name| format!("duty cycle {name}: {text}"));
         sink(&Event::Notice(Notice {
             schema: "seepd.notice/1",
             axis: &config.axis,
@@ -283,7 +301,7 @@ impl Progress {
         })
     }
 
-    fn count_rejection(&mut self, reason: &'static str) {
+    pub(super) fn count_rejection(&mut self, reason: &'static str) {
         let slot = self.rejected.iter_mut().find(|(known, count)| *known == reason || *count == 0);
         if let Some(slot) = slot {
             *slot = (reason, slot.1 + 1);
@@ -302,6 +320,13 @@ impl Progress {
         let recent = recent.get_mut(..count)?;
         recent.sort_by(f64::total_cmp);
         recent.get(count / 2).copied()
+    }
+}
+
+pub(super) fn span_of(outcome: &Outcome<'_>) -> (i64, i64) {
+    match outcome {
+        Outcome::Valid(valid) => (valid.start_ns, valid.end_ns),
+        Outcome::Rejected(rejected) => (rejected.start_ns, rejected.end_ns),
     }
 }
 

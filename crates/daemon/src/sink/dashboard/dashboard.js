@@ -6,7 +6,7 @@ const FLAGS = { no_estimate: "no estimate", healthy: "healthy", watch: "watch", 
 const REASONS = {
   no_cycle_yet: "no complete cycle yet", unconfirmed: "too few estimates in a row above a threshold", stale: "no command arrives", stuck: "the command stands still",
   no_cycle_found: "no duty cycle is found in the command", wrong_rate: "the command comes at another rate than the model's",
-  unusable_configuration: "this axis cannot be started",
+  unusable_configuration: "this axis cannot be started", learning_baseline: "learning what the healthy machine is like",
 };
 let chosen = null, stream = null, status = null;
 let live = [], cycles = [], trend = [], events = [];
@@ -133,8 +133,12 @@ function span(seconds) {
   return Math.round(seconds / size) + " " + name;
 }
 
+const relativeText = (axis) => axis.relative.changed
+  ? baselineText(axis.baseline) + ": the command has changed in " + axis.relative.features.slice(0, 4).join(", ")
+  : baselineText(axis.baseline) + (axis.baseline.learned_cycles ? ": " + FINDINGS.none : "");
+
 function showBaseline(axis) {
-  byId("baseline").textContent = axis.duty_cycles
+  byId("baseline").textContent = axis.relative ? relativeText(axis) : axis.duty_cycles
     ? axis.duty_cycles.map((one) => one.name + " (" + one.cycles + " cycles): " + baselineText(one.baseline)).join("; ")
       + (axis.finding === "none" ? "" : " – " + FINDINGS[axis.finding])
     : baselineText(axis.baseline) + (axis.baseline.learned_cycles ? ": " + FINDINGS[axis.finding] : "");
