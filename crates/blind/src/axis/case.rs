@@ -163,26 +163,26 @@ fn logs(
 }
 
 impl Truth {
-    /// Writes a log line by line, beginning with the header; whether the machine stayed finite.
+    /// Writes a log, sample by sample with its time in s; whether the machine stayed finite.
     ///
     /// # Errors
     /// Those of `write`.
     pub fn write_log<E>(
         &self,
         log: &LogTruth,
-        mut write: impl FnMut(&str) -> Result<(), E>,
+        mut write: impl FnMut(f64, &str) -> Result<(), E>,
     ) -> Result<bool, E> {
         let timeline =
             Timeline::plan(&self.machine.duty, log.cycles, log.beginning, &mut Noise::new(log.seed, 5));
         let day = Day { leak: log.leak, temperature_c: log.temperature_c, force: log.force };
         let mut noise = Noise::new(log.seed, 6);
-        let mut written = write(&self.format.header());
-        let mut line = String::new();
+        let mut written = Ok(());
+        let mut text = String::new();
         let finite = run(&self.machine, &day, &timeline, self.format.nth, |sample| {
             if written.is_ok() {
-                line.clear();
-                self.format.row(sample, &mut noise, &mut line);
-                written = write(&line);
+                text.clear();
+                self.format.text(sample, &mut noise, &mut text);
+                written = write(sample.time_s, &text);
             }
         });
         written.map(|()| finite)
@@ -193,14 +193,14 @@ impl Truth {
 mod tests {
     use super::*;
 
-    fn log_text(truth: &Truth, log: &LogTruth) -> String {
-        let mut text = String::new();
-        let finite = truth.write_log(log, |line| {
-            text.push_str(line);
+    fn rows(truth: &Truth, log: &LogTruth) -> Vec<String> {
+        let mut rows = Vec::new();
+        let finite = truth.write_log(log, |_, row| {
+            rows.push(row.to_owned());
             Ok::<(), std::convert::Infallible>(())
         });
         assert_eq!(finite, Ok(true));
-        text
+        rows
     }
 
     #[test]
@@ -216,11 +216,11 @@ mod tests {
             case.truth.machine
         );
         let short = LogTruth { cycles: 1, ..case.truth.logs["later-01"].clone() };
-        let text = log_text(&case.truth, &short);
-        assert_eq!(log_text(&case.truth, &short), text);
+        let written = rows(&case.truth, &short);
+        assert_eq!(rows(&case.truth, &short), written);
         let other = LogTruth { seed: short.seed + 1, ..short };
-        assert_ne!(log_text(&case.truth, &other), text);
-        assert!(text.lines().count() > 50 && text.lines().all(|line| line.split([',', ';']).count() == 4));
+        assert_ne!(rows(&case.truth, &other), written);
+        assert!(written.len() > 50, "{} rows", written.len());
     }
 
     #[test]

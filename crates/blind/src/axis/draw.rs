@@ -24,6 +24,8 @@ const PRESSURES_BAR: [f64; 9] = [70.0, 100.0, 120.0, 140.0, 160.0, 180.0, 210.0,
 const FLOWS: [f64; 10] = [1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0, 5.0, 6.3, 8.0];
 /// Task periods of controllers, ms.
 const TASKS_MS: [f64; 8] = [0.25, 0.5, 1.0, 2.0, 4.0, 5.0, 10.0, 20.0];
+/// Ticks of a cycle, at most: slow machines have slow tasks, and are simulated for hours.
+const TICKS: f64 = 1e5;
 /// Largest flow that a machine of these asks for, m³/s: 1,500 L/min.
 const LARGEST_FLOW: f64 = 0.025;
 /// Share of the machines that begin long moves without position control.
@@ -82,7 +84,7 @@ pub(super) fn build(noise: &mut Noise) -> Option<Built> {
     cylinder.contact = contact(&cylinder, &duty, pressure_pa, noise);
     let supply = supply(&cylinder, &duty, pressure_pa, noise);
     let (valve, rated_m3_per_s, rated_at_pa) = valve(&cylinder, &supply, &duty, noise)?;
-    let controller = controller(&cylinder, &supply, &valve, omega, noise)?;
+    let controller = controller(&cylinder, &supply, &valve, (omega, duty.period_s()), noise)?;
     let duty = if noise.chance(RAPID) { with_rapid(duty, &cylinder, &supply, &valve) } else { duty };
     let machine = Machine { cylinder, valve, supply, oil, controller, duty };
     Some(Built { machine, rated_m3_per_s, rated_at_pa })
@@ -370,7 +372,7 @@ fn controller(
     cylinder: &Cylinder,
     supply: &Supply,
     valve: &Valve,
-    omega: f64,
+    (omega, cycle_s): (f64, f64),
     noise: &mut Noise,
 ) -> Option<Controller> {
     let (out, back) = speeds(cylinder, supply, 0.0);
@@ -382,8 +384,8 @@ fn controller(
     };
     let loop_per_s = noise.uniform(0.07, 0.16) * omega.min(valve.natural_rad_per_s).min(300.0);
     let kp = loop_per_s / (speed_m_per_s * steepest);
-    let tasks: Vec<f64> =
-        TASKS_MS.iter().map(|ms| ms * 1e-3).filter(|period_s| loop_per_s * period_s < 0.2).collect();
+    let fits = |period_s: &f64| loop_per_s * period_s < 0.2 && *period_s > cycle_s / TICKS;
+    let tasks: Vec<f64> = TASKS_MS.iter().map(|ms| ms * 1e-3).filter(fits).collect();
     if tasks.is_empty() || loop_per_s < 2.0 {
         return None;
     }

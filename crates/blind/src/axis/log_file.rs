@@ -1,4 +1,4 @@
-//! Logs as controllers and loggers write them: CSV with units and names of their own, noise, and so many digits.
+//! Logs as controllers and loggers write them: with units and names of their own, noise, and so many digits.
 
 use std::fmt::Write;
 
@@ -26,7 +26,9 @@ pub enum LoggedSignals {
 pub struct LogFormat {
     /// Which signals it has.
     pub signals: LoggedSignals,
-    /// Its columns.
+    /// The kind of file.
+    pub container: Container,
+    /// Its columns, or fields of its messages.
     pub style: Style,
     /// Ticks of the controller from a row to the next.
     pub nth: usize,
@@ -34,6 +36,16 @@ pub struct LogFormat {
     pub command_noise: f64,
     /// Standard deviation of the position's noise, m.
     pub position_noise_m: f64,
+}
+
+/// The kind of a log file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Container {
+    /// A table with the time in its first column.
+    Csv,
+    /// Messages in JSON, whose time is the container's.
+    Mcap,
 }
 
 /// Names and units of the columns.
@@ -50,9 +62,12 @@ pub enum Style {
     German,
 }
 
-/// Styles, as often as they are drawn.
+/// Share of the machines whose logs are of MCAP.
+const IN_MCAP: f64 = 0.15;
+/// Styles of tables, as often as they are drawn, and of messages, whose fields have no blanks.
 const STYLES: [Style; 6] =
     [Style::Plain, Style::Plain, Style::Plain, Style::Percent, Style::Volt, Style::German];
+const FIELDS: [Style; 2] = [Style::Plain, Style::Volt];
 
 /// Time, command, demand and position of a style: names, factor from SI, decimals.
 type Columns = [(&'static str, f64, usize); 4];
@@ -102,32 +117,52 @@ impl LogFormat {
             **row_s <= wanted_s.max(task_s) * (1.0 + 1e-9)
                 && (nth(**row_s) * task_s / **row_s - 1.0).abs() < 1e-9
         });
+        let container = if noise.chance(IN_MCAP) { Container::Mcap } else { Container::Csv };
         LogFormat {
             signals,
-            style: STYLES[noise.index(STYLES.len())],
+            container,
+            style: match container {
+                Container::Csv => STYLES[noise.index(STYLES.len())],
+                Container::Mcap => FIELDS[noise.index(FIELDS.len())],
+            },
             nth: row_s.map_or(1, |row_s| nth(*row_s) as usize),
             command_noise: noise.log_uniform(1e-3, 5e-3),
             position_noise_m: noise.log_uniform(5e-6, 5e-5),
         }
     }
 
-    /// The first line.
+    /// The first line of a table.
     pub fn header(&self) -> String {
         let names: Vec<&str> = self.columns().map(|(name, ..)| name).collect();
         names.join(self.style.separator()) + "\n"
     }
 
-    /// Appends a sample's line.
-    pub(super) fn row(&self, sample: Sample, noise: &mut Noise, line: &mut String) {
+    /// A sample as it is written: a line of a table, or a message.
+    pub(super) fn text(&self, sample: Sample, noise: &mut Noise, text: &mut String) {
         let command = sample.command + noise.normal(self.command_noise);
         let position_m = sample.position_m + noise.normal(self.position_noise_m);
         let values = [sample.time_s, command, sample.demand_m, position_m];
-        for (index, ((_, factor, decimals), value)) in self.columns().zip(values).enumerate() {
-            let separator = if index == 0 { "" } else { self.style.separator() };
+        let fields = self.columns().zip(values);
+        let first = match self.container {
+            Container::Csv => 0,
+            Container::Mcap => 1,
+        };
+        for (index, ((name, factor, decimals), value)) in fields.enumerate().skip(first) {
+            let value = value * factor;
             // A string takes whatever is written.
-            let _ = write!(line, "{separator}{:.decimals$}", value * factor);
+            let _ = match self.container {
+                Container::Csv if index == 0 => write!(text, "{value:.decimals$}"),
+                Container::Csv => write!(text, "{}{value:.decimals$}", self.style.separator()),
+                Container::Mcap => {
+                    let opening = if index == first { '{' } else { ',' };
+                    write!(text, "{opening}\"{name}\":{value:.decimals$}")
+                }
+            };
         }
-        line.push('\n');
+        text.push(match self.container {
+            Container::Csv => '\n',
+            Container::Mcap => '}',
+        });
     }
 
     fn columns(&self) -> impl Iterator<Item = (&'static str, f64, usize)> {
@@ -136,5 +171,29 @@ impl LogFormat {
             LoggedSignals::Position => 4,
         };
         self.style.columns().into_iter().take(count)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text(container: Container, style: Style) -> String {
+        let signals = LoggedSignals::Position;
+        let format =
+            LogFormat { signals, container, style, nth: 1, command_noise: 0.0, position_noise_m: 0.0 };
+        let sample = Sample { time_s: 1.5, command: -0.25, demand_m: 0.125, position_m: 0.1237 };
+        let mut text = String::new();
+        format.text(sample, &mut Noise::new(1, 1), &mut text);
+        text
+    }
+
+    #[test]
+    fn samples_are_written_in_the_units_that_the_names_state() {
+        assert_eq!(text(Container::Csv, Style::Plain), "1.50000,-0.25000,0.125000,0.123700\n");
+        assert_eq!(text(Container::Csv, Style::Percent), "1500.00,-25.000,125.000,123.700\n");
+        assert_eq!(text(Container::Csv, Style::German), "1.50000;-25.000;125.000;123.700\n");
+        let message = r#"{"valve_cmd_V":-2.5000,"x_set_mm":125.000,"x_act_mm":123.700}"#;
+        assert_eq!(text(Container::Mcap, Style::Volt), message);
     }
 }

@@ -20,7 +20,7 @@ pub use case::{Case, HEALTHY, Later, LogTruth, Truth, draw};
 pub use controller::Controller;
 pub use data_sheet::{ControllerSheet, CylinderSheet, DataSheet, OilSheet, SupplySheet, ValveSheet};
 pub use duty::{Beginning, Duty, Move, Profile, Rapid};
-pub use log_file::{LogFormat, LoggedSignals, Style};
+pub use log_file::{Container, LogFormat, LoggedSignals, Style};
 pub use machine::{
     Accumulator, Contact, Cylinder, FlowCurve, Leak, Machine, Oil, Pump, REFERENCE_PA, Supply, Valve,
 };

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand, ValueEnum};
 use rayon::prelude::*;
 use seepd_blind::axis::score::{self, Answer, Answered, CycleAnswer, Scores};
-use seepd_blind::axis::{self, Case, HEALTHY, Later, LoggedSignals, Truth};
+use seepd_blind::axis::{self, Case, Container, HEALTHY, Later, LogTruth, LoggedSignals, Truth};
 use seepd_monitor::event::Flag;
 use serde::Deserialize;
 
@@ -20,6 +20,7 @@ use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::output::{Outputs, OverwriteArguments};
 use crate::progress::Steps;
+use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
 
 /// Checks `seepd adopt` on machines of others: plants their papers and logs with a second simulator, and scores what was said of them.
@@ -156,19 +157,40 @@ fn write_case(folder: &Path, case: &Case) -> Result<(), Failure> {
         .map_err(|error| Failure::new(Code::Internal, format!("{}: {error}", case.name)))?;
     in_own_folder(&folder.join(MACHINE))?.write(sheet)?;
     for (name, log) in &case.truth.logs {
-        let out = in_own_folder(&folder.join(format!("{name}.csv")))?;
-        let mut file = out.create()?;
-        let finite = case
-            .truth
-            .write_log(log, |line| file.write_all(line.as_bytes()))
-            .map_err(|error| Failure::writing(out.path(), error))?;
+        let finite = match case.truth.format.container {
+            Container::Csv => write_csv(&folder.join(format!("{name}.csv")), &case.truth, log),
+            Container::Mcap => write_mcap(&folder.join(format!("{name}.mcap")), &case.truth, log),
+        }?;
         if !finite {
             let what = format!("{}: the machine of {name} went out of bounds", case.name);
             return Err(Failure::new(Code::Internal, what));
         }
-        file.finish()?;
     }
     Ok(())
+}
+
+fn write_csv(path: &Path, truth: &Truth, log: &LogTruth) -> Result<bool, Failure> {
+    let mut file = in_own_folder(path)?.create()?;
+    let written = file
+        .write_all(truth.format.header().as_bytes())
+        .and_then(|()| truth.write_log(log, |_, line| file.write_all(line.as_bytes())));
+    let finite = written.map_err(|error| Failure::writing(path, error))?;
+    file.finish()?;
+    Ok(finite)
+}
+
+fn write_mcap(path: &Path, truth: &Truth, log: &LogTruth) -> Result<bool, Failure> {
+    let writing = |error| Failure::writing(path, error);
+    let mut sink = McapSink::new(in_own_folder(path)?.create()?, ChunkCompression::Zstd).map_err(writing)?;
+    let channel = sink.add_channel("/machine/axis", "machine.Axis", schema::ANY).map_err(writing)?;
+    let finite = truth
+        .write_log(log, |time_s, message| {
+            sink.write(channel, (time_s * 1e9).round() as i64, message.as_bytes())
+        })
+        .map_err(writing)?;
+    sink.finish().map_err(writing)?;
+    sink.into_inner().finish()?;
+    Ok(finite)
 }
 
 /// How adoption of a machine ended: the content of NAME.json.
