@@ -8,7 +8,7 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::Value;
-use support::{replay, seepd, simulate, stdout, summary};
+use support::{replay, seepd, simulate, stderr, stdout, summary};
 
 /// The nominal cycle in seven seconds, on a press of another bore.
 const OTHER_PRESS: &str = "
@@ -50,6 +50,14 @@ fn a_press_with_another_cycle_is_told_its_period_and_the_next_command() {
     );
     assert!(line.contains(&expected), "{line}");
     assert_eq!(summary["advice"], line.as_str());
+    let (out, log_text) = (folder.path().join("baseline.json"), log.to_str().unwrap());
+    let learned = seepd(["learn-baseline", "--out", out.to_str().unwrap(), log_text]);
+    assert_eq!(learned.status.code(), Some(65));
+    assert!(
+        stderr(&learned).contains(&expected) && stderr(&learned).lines().count() == 1,
+        "{}",
+        stderr(&learned)
+    );
     assert!((summary["observed"]["period_s"].as_f64().unwrap() - 7.02).abs() < 0.02, "{summary}");
     assert_eq!(
         (summary["leak_area_m2"].is_null(), &summary["size_withheld"]),

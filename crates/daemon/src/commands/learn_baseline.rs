@@ -14,6 +14,7 @@ use seepd_monitor::reason::LEARNING_BASELINE;
 use seepd_monitor::relative::{RelativeBaseline, RelativeError};
 
 use super::reading::{ReadingArguments, check_cycles};
+use crate::advice::advice;
 use crate::baseline_file;
 use crate::cli::Outcome;
 use crate::config::AxisConfig;
@@ -21,7 +22,7 @@ use crate::failure::{Code, Failure};
 use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::{byte_bar, counting, warn};
 use crate::quantity::{mm2, mm2_interval};
-use crate::sink::terminal::print;
+use crate::sink::terminal::{listed, print};
 
 /// Learn the baseline of a healthy machine, so that estimates are relative to it
 ///
@@ -101,7 +102,7 @@ fn run_relative(arguments: &LearnBaselineArguments, config: &AxisConfig) -> Resu
     let learned = pipeline
         .relative()
         .map_or(Err(RelativeError::NoCycle), |monitor| monitor.baseline_so_far(&config.axis));
-    let baseline = learned.map_err(|error| no_baseline(&error, &pipeline))?;
+    let baseline = learned.map_err(|error| no_baseline(&error, arguments, config, &pipeline))?;
     let text = baseline.to_json().map_err(|error| Failure::writing(path, error))?;
     out.write(text.clone())?;
     baseline.remarks.iter().for_each(|remark| warn(remark));
@@ -192,9 +193,9 @@ fn learn(
     let monitor = &pipeline.monitors()[which];
     match (monitor.baseline(), monitor.learner()) {
         (Some(baseline), _) => Ok(baseline.clone()),
-        (None, Some(learner)) => {
-            learner.baseline(monitor.model()).map_err(|error| no_baseline(&error, &pipeline))
-        }
+        (None, Some(learner)) => learner
+            .baseline(monitor.model())
+            .map_err(|error| no_baseline(&error, arguments, config, &pipeline)),
         (None, None) => Err(Failure::data("no baseline could be learned".to_owned())),
     }
 }
@@ -216,14 +217,26 @@ fn read_logs(
     Ok(())
 }
 
-/// Why there is no baseline, with what became of the other cycles.
-fn no_baseline(error: &dyn std::error::Error, pipeline: &Pipeline) -> Failure {
-    let rejected = pipeline.rejected();
-    let counts = rejected.iter().filter(|(name, _)| **name != LEARNING_BASELINE);
-    let listed: Vec<String> = counts.map(|(name, count)| format!("{count} {name}")).collect();
-    let rejected =
-        if listed.is_empty() { String::new() } else { format!(" (rejected: {})", listed.join(", ")) };
-    Failure::data(format!("no baseline could be learned: {error}{rejected}"))
+/// Why there is no baseline: what became of the cycles, or, where hardly any could be used, what to do.
+fn no_baseline(
+    error: &dyn std::error::Error,
+    arguments: &LearnBaselineArguments,
+    config: &AxisConfig,
+    pipeline: &Pipeline,
+) -> Failure {
+    let summary = pipeline.summary();
+    let mut rejected = summary.rejected.clone();
+    let has_learned = rejected.remove(LEARNING_BASELINE).is_some();
+    let more = if summary.cycles == 0 && !has_learned {
+        let source = config.command_source(arguments.logs.first().map(PathBuf::as_path));
+        let duty_cycles = &pipeline.config().duty_cycles;
+        format!(". {}", advice(&summary, &pipeline.observation(), duty_cycles, &source))
+    } else if rejected.is_empty() {
+        String::new()
+    } else {
+        format!(" (rejected: {})", listed(&rejected))
+    };
+    Failure::data(format!("no baseline could be learned: {error}{more}"))
 }
 
 fn tell(arguments: &LearnBaselineArguments, model: &Model, baseline: &Baseline) -> Result<(), Failure> {
