@@ -1,8 +1,12 @@
 //! How a model is trained for an adopted machine: spread as calibration left it, noise as measured, as many machines as there is time for.
 
+use std::collections::BTreeMap;
+
 use seepd_features::Kalman;
+use seepd_sim::MachineSpec;
 use seepd_sim::series::Tolerances;
 use seepd_train::{Conditions, Spread, TrainingSettings};
+use serde::{Deserialize, Serialize};
 
 use crate::adoption::Adoption;
 use crate::duty_cycle::FoundCycle;
@@ -25,33 +29,58 @@ const LOAD: f64 = 0.05;
 /// Largest variation of the period: the anchors' tolerance.
 const MOST_PERIOD: f64 = 0.03;
 
-/// The settings with which a model for the machine is trained.
-pub fn training_settings(adoption: &Adoption, found: &FoundCycle) -> TrainingSettings {
-    let usual = TrainingSettings::default();
-    let c = &adoption.spec.controller;
-    let steps = adoption.spec.cycle.period_s / c.period_s * c.steps_per_period as f64;
-    let share = (NOMINAL_STEPS / steps).clamp(LEAST_SHARE, 1.0);
-    let count = |machines: usize| (machines as f64 * share) as usize;
-    let tolerances = Tolerances { share: 0.05, of: adoption.tolerances() };
-    let period = (0.5 * found.period.spread_s() / found.period_s).clamp(LEAST_PERIOD, MOST_PERIOD);
-    let load = adoption.load_spread.map_or(LOAD, |spread| (2.0 * spread).clamp(0.02, 0.2));
-    let noise = adoption.noise.clamp(3e-4, 0.02);
-    TrainingSettings {
-        observations: count(usual.observations),
-        held_out: count(usual.held_out).max(256),
-        relative_machines: count(usual.relative_machines).max(160),
-        calibrated_on: count(usual.calibrated_on).max(512),
-        tested_on: count(usual.tested_on).max(128),
-        spread: Spread { parameters: tolerances.clone(), load, period },
-        noise: ((noise / NOISE_ROOM).max(1e-4), (noise * NOISE_ROOM).max(0.003)),
-        filter: Some(filter(adoption.spec.cycle.period_s, c.log_period_s())),
-        conditions: Conditions {
-            parameters: tolerances,
-            machine_load: load,
-            period,
-            ..Conditions::default()
-        },
-        ..usual
+/// What training takes of an adopted machine beside its plant.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TrainingBasis {
+    /// How far each plant parameter may be off to either side, share.
+    pub tolerances: BTreeMap<String, f64>,
+    /// Standard deviation of the command's noise, share of full command.
+    pub noise: f64,
+    /// Standard deviation of the load from cycle to cycle, share of its range, where the log has a load.
+    pub load_spread: Option<f64>,
+    /// How much the period varies, half of what nine of ten cycles lie between, share.
+    pub period_spread: f64,
+}
+
+impl TrainingBasis {
+    /// Of a machine and its duty cycle.
+    pub fn of(adoption: &Adoption, found: &FoundCycle) -> Self {
+        TrainingBasis {
+            tolerances: adoption.tolerances(),
+            noise: adoption.noise,
+            load_spread: adoption.load_spread,
+            period_spread: 0.5 * found.period.spread_s() / found.period_s,
+        }
+    }
+
+    /// The settings with which a model for the machine is trained.
+    pub fn settings(&self, spec: &MachineSpec) -> TrainingSettings {
+        let usual = TrainingSettings::default();
+        let c = &spec.controller;
+        let steps = spec.cycle.period_s / c.period_s * c.steps_per_period as f64;
+        let share = (NOMINAL_STEPS / steps).clamp(LEAST_SHARE, 1.0);
+        let count = |machines: usize| (machines as f64 * share) as usize;
+        let tolerances = Tolerances { share: 0.05, of: self.tolerances.clone() };
+        let period = self.period_spread.clamp(LEAST_PERIOD, MOST_PERIOD);
+        let load = self.load_spread.map_or(LOAD, |spread| (2.0 * spread).clamp(0.02, 0.2));
+        let noise = self.noise.clamp(3e-4, 0.02);
+        TrainingSettings {
+            observations: count(usual.observations),
+            held_out: count(usual.held_out).max(256),
+            relative_machines: count(usual.relative_machines).max(160),
+            calibrated_on: count(usual.calibrated_on).max(512),
+            tested_on: count(usual.tested_on).max(128),
+            spread: Spread { parameters: tolerances.clone(), load, period },
+            noise: ((noise / NOISE_ROOM).max(1e-4), (noise * NOISE_ROOM).max(0.003)),
+            filter: Some(filter(spec.cycle.period_s, c.log_period_s())),
+            conditions: Conditions {
+                parameters: tolerances,
+                machine_load: load,
+                period,
+                ..Conditions::default()
+            },
+            ..usual
+        }
     }
 }
 

@@ -44,6 +44,8 @@ enum Command {
     TestSinks(commands::test_sinks::TestSinksArguments),
     #[cfg(feature = "gap")]
     Gap(commands::gap::GapArguments),
+    #[cfg(feature = "adopt")]
+    Adopt(commands::adopt::AdoptArguments),
     #[cfg(feature = "gap")]
     #[command(hide = true)]
     AdoptBlind(commands::adopt_blind::AdoptBlindArguments),
@@ -85,6 +87,8 @@ pub fn main() -> ExitCode {
         Command::TestSinks(arguments) => commands::test_sinks::run(arguments),
         #[cfg(feature = "gap")]
         Command::Gap(arguments) => commands::gap::run(arguments),
+        #[cfg(feature = "adopt")]
+        Command::Adopt(arguments) => commands::adopt::run(arguments),
         #[cfg(feature = "gap")]
         Command::AdoptBlind(arguments) => commands::adopt_blind::run(arguments),
         Command::Inspect(arguments) => commands::inspect::run(arguments),

@@ -271,6 +271,8 @@ pub fn train(
             .accuracy
             .decades
             .iter()
+            // A small valve's leaks do not reach the largest decades.
+            .filter(|decade| decade.median_relative_error.is_finite())
             .map(|decade| (decade.from_m2, decade.to_m2, decade.median_relative_error))
             .collect(),
     });

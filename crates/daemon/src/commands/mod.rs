@@ -1,5 +1,7 @@
 //! The commands, one file each.
 
+#[cfg(feature = "adopt")]
+pub mod adopt;
 #[cfg(feature = "gap")]
 pub mod adopt_blind;
 #[cfg(feature = "gap")]

@@ -185,7 +185,7 @@ fn write_rows(out: &mut impl Write, trained: &Trained) -> Result<(), csv::Error>
     writer.flush().map_err(csv::Error::from)
 }
 
-fn name_of(stage: Stage) -> &'static str {
+pub(super) fn name_of(stage: Stage) -> &'static str {
     match stage {
         Stage::Simulate => "simulating",
         Stage::Compare => "comparing",

@@ -1,5 +1,7 @@
 //! Self-contained HTML pages: one file, no outside requests, light and dark, readable on paper.
 
+#[cfg(feature = "adopt")]
+pub(crate) mod adopt;
 pub mod chart;
 #[cfg(feature = "simulate")]
 pub mod demo;

@@ -1,0 +1,358 @@
+//! `seepd adopt`: from a user's log to a watched machine.
+//!
+//! Each step leaves its file in the folder, says what it found, and can be run again from there after the file has been edited.
+
+pub(crate) mod capability;
+mod files;
+mod questions;
+mod told;
+
+use std::fs;
+use std::io::{self, IsTerminal};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use clap::{Args, ValueEnum};
+use seepd_adopt::adoption::{Adoption, AdoptionError, adopt};
+use seepd_adopt::duty_cycle::{FoundCycle, find_duty_cycle};
+use seepd_adopt::machine_data::MachineData;
+use seepd_adopt::recording::{Recorder, Recording};
+use seepd_adopt::signals::{Hints, SignalProposal, propose};
+use seepd_adopt::training::TrainingBasis;
+use seepd_logs::LogMapping;
+use seepd_logs::can::dbc::Dbc;
+use seepd_logs::columns::{Columns, Known};
+use seepd_logs::record;
+use seepd_model::Model;
+use seepd_monitor::baseline::{BaselineFile, MOST_CYCLES};
+use seepd_monitor::pipeline::{DutyCycle, Pipeline};
+use seepd_settings::side_file;
+use seepd_signals::Signal;
+use seepd_sim::MachineSpec;
+use seepd_train::train::Stage;
+use seepd_train::{TrainError, Trained};
+
+use crate::cli::Outcome;
+use crate::config::{AxisConfig, load_model};
+use crate::failure::{Code, Failure};
+use crate::html::adopt::AdoptPage;
+use crate::output::OverwriteArguments;
+use crate::progress::{Steps, byte_bar, counting, warn};
+use crate::sink::terminal::print;
+use capability::Capability;
+use files::Folder;
+
+/// Adopt a machine: from its log and its data sheet to a configuration, a plant, a model and a baseline
+///
+/// Works in steps: signals, duty cycle, machine data, calibration, model, baseline. Each step says what it found and leaves its file in the
+/// folder. Edit a file and run the rest again with --from. What nobody knows may stay unknown; it makes the intervals wider.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  seepd adopt press.mcap --out press-3\n  \
+                        seepd adopt --machine machine.toml monday.csv tuesday.csv --out press-3\n  \
+                        seepd adopt press.mcap --out press-3 --from model   # after editing press-3/plant.toml\n  \
+                        seepd replay --config press-3/seepd.toml today.mcap")]
+pub struct AdoptArguments {
+    /// Logs of the machine, healthy as far as you know: MCAP, CSV or candump
+    #[arg(required = true, value_name = "LOG")]
+    logs: Vec<PathBuf>,
+    /// Folder for what comes of it
+    #[arg(long, value_name = "FOLDER")]
+    out: PathBuf,
+    /// What can be read off data sheets [default: machine.toml in the folder, where there is one; else you are asked on a terminal]
+    #[arg(long, value_name = "FILE")]
+    machine: Option<PathBuf>,
+    /// Configuration whose mapping says where signals are; those that it leaves out are looked for
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// DBC file that describes the frames of a CAN log
+    #[arg(long, value_name = "FILE")]
+    dbc: Option<PathBuf>,
+    /// Name of the axis [default: the name in machine.toml, or the folder's]
+    #[arg(long, value_name = "NAME")]
+    axis: Option<String>,
+    /// Step to begin with; earlier ones are taken from the folder
+    #[arg(long, value_name = "STEP", default_value = "signals")]
+    from: Step,
+    /// Copy the result to /etc/seepd afterwards
+    #[arg(long)]
+    install: bool,
+    #[command(flatten)]
+    overwrite: OverwriteArguments,
+    /// Print the result as one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// The steps that one can begin with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
+enum Step {
+    /// Which column is which signal
+    Signals,
+    /// The duty cycle, the machine's data and the calibration
+    Cycle,
+    /// Training, with the plant file of the folder
+    Model,
+    /// The baseline, with the model of the folder
+    Baseline,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure`] in one sentence: what was seen and what to do. What was found so far stays in the folder.
+pub fn run(arguments: &AdoptArguments) -> Result<Outcome, Failure> {
+    let folder = Folder::open(&arguments.out, arguments.overwrite.force || arguments.from > Step::Signals)?;
+    let (mut config, proposal) = signals(arguments, &folder)?;
+    let machine = machine_data(arguments, &folder)?;
+    config.axis = arguments.axis.clone().or_else(|| machine.name.clone()).unwrap_or_else(|| folder.name());
+    let described = if arguments.from <= Step::Cycle {
+        Some(describe(arguments, &folder, (&mut config, proposal), &machine)?)
+    } else {
+        None
+    };
+    let (model, trained) = model(arguments, &folder, described.as_ref())?;
+    folder.write_config(&mut config, &model, true)?;
+    let baseline = baseline(arguments, &folder, &config, &model)?;
+    let capability = Capability::of(&model, &baseline, trained.as_ref());
+    config.alarm = capability.alarm(&model);
+    folder.write_config(&mut config, &model, true)?;
+    let page = AdoptPage {
+        axis: &config.axis,
+        described: described.as_ref(),
+        plant: &folder.read_plant()?,
+        mapping: &config.signals,
+        baseline: &baseline,
+        capability: &capability,
+        trained: trained.as_ref(),
+    };
+    folder.write("adopt.html", page.render())?;
+    let text = if arguments.json {
+        told::json(&config.axis, described.as_ref(), &capability)?
+    } else {
+        told::result(&folder, &capability)
+    };
+    print(text.as_bytes())?;
+    if arguments.install {
+        folder.install()?;
+    }
+    Ok(Outcome::Good)
+}
+
+/// What the log and the data sheet gave.
+pub(crate) struct Described {
+    pub(crate) recording: Recording,
+    pub(crate) found: FoundCycle,
+    pub(crate) adoption: Adoption,
+    pub(crate) proposal: SignalProposal,
+}
+
+/// Step 1: where the signals are, as a configuration without a model.
+fn signals(arguments: &AdoptArguments, folder: &Folder) -> Result<(AxisConfig, SignalProposal), Failure> {
+    if arguments.from > Step::Signals {
+        return Ok((folder.read_config()?, SignalProposal::default()));
+    }
+    let mut config = match &arguments.config {
+        Some(path) => files::read_config(path)?,
+        None => AxisConfig::default(),
+    };
+    config.dbc = arguments.dbc.clone().or(config.dbc);
+    let known = Known { dbc: config.dbc.as_deref().map(Dbc::read).transpose()?, ..Known::default() };
+    let columns = Columns::of_file(&arguments.logs[0], &known)?;
+    let proposal = propose(&columns, &hints(arguments, folder, &config)?);
+    told::signals(&arguments.logs[0], &columns, &proposal);
+    if let Some(refusal) = &proposal.refusal {
+        return Err(Failure::data(refusal.clone()));
+    }
+    let proposal = questions::answered(proposal, &columns)?;
+    let mapping: LogMapping = proposal.mapping(&columns).ok_or_else(|| {
+        Failure::data(
+            "no column is a valve command for sure; name it in a configuration: `seepd adopt --config`"
+                .to_owned(),
+        )
+    })?;
+    config.time_column = mapping.time_column;
+    config.time_unit = mapping.time_unit;
+    config.signals = mapping.signals;
+    folder.write_mapping(&config)?;
+    Ok((config, proposal))
+}
+
+fn hints(arguments: &AdoptArguments, folder: &Folder, config: &AxisConfig) -> Result<Hints, Failure> {
+    let data = match machine_file(arguments, folder) {
+        Some(path) => files::read_machine(&path)?,
+        None => MachineData::default(),
+    };
+    Ok(Hints {
+        stroke_m: data.cylinder.stroke_mm.map(|stroke| 1e-3 * stroke.value()),
+        supply_pa: data.supply.relief_bar.map(|pressure| 1e5 * pressure.value()),
+        given: config.signals.clone(),
+    })
+}
+
+/// The file that describes the machine: the one that is named, or the folder's.
+fn machine_file(arguments: &AdoptArguments, folder: &Folder) -> Option<PathBuf> {
+    let of_folder = || Some(folder.path("machine.toml")).filter(|path| path.exists());
+    arguments.machine.clone().or_else(of_folder)
+}
+
+/// Step 3's input: what the user knows.
+fn machine_data(arguments: &AdoptArguments, folder: &Folder) -> Result<MachineData, Failure> {
+    if let Some(path) = machine_file(arguments, folder) {
+        let data = files::read_machine(&path)?;
+        if path != folder.path("machine.toml") {
+            folder.copy(&path, "machine.toml")?;
+        }
+        return Ok(data);
+    }
+    if io::stdin().is_terminal() && io::stderr().is_terminal() {
+        let data = questions::machine()?;
+        folder.write("machine.toml", files::machine_toml(&data)?)?;
+        return Ok(data);
+    }
+    warn(
+        "no machine.toml is named, so that the machine's size is taken from the log as far as it shows it; a form lies in the folder",
+    );
+    folder.write("machine.toml", files::MACHINE_FORM)?;
+    Ok(MachineData::default())
+}
+
+/// Steps 2 to 4: duty cycle, plant, calibration.
+fn describe(
+    arguments: &AdoptArguments,
+    folder: &Folder,
+    (config, proposal): (&mut AxisConfig, SignalProposal),
+    machine: &MachineData,
+) -> Result<Described, Failure> {
+    let recording = record_of(arguments, &config.log_mapping())?;
+    let found = find_duty_cycle(&recording)
+        .map_err(|error| Failure::data(format!("{error}. {}", told::WITHOUT_A_CYCLE)))?;
+    told::cycle(&recording, &found);
+    let adoption = adopt(&recording, &found, machine).map_err(|error| failure(&error))?;
+    if adoption.position_offset_m != 0.0 {
+        for signal in [Signal::Position, Signal::Demand] {
+            if let Some(mapping) = config.signals.get_mut(&signal) {
+                mapping.offset += adoption.position_offset_m;
+            }
+        }
+    }
+    told::machine(&adoption);
+    let plant = adoption.spec.to_toml().map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
+    folder.write("plant.toml", files::plant_toml(&plant, &adoption))?;
+    folder.write_basis(&TrainingBasis::of(&adoption, &found))?;
+    Ok(Described { recording, found, adoption, proposal })
+}
+
+fn failure(error: &AdoptionError) -> Failure {
+    let code = match error {
+        AdoptionError::Data(_) => Code::Configuration,
+        _ => Code::Data,
+    };
+    Failure::new(code, error.to_string())
+}
+
+/// The logs on one time grid, one after the other.
+fn record_of(arguments: &AdoptArguments, mapping: &LogMapping) -> Result<Recording, Failure> {
+    let sizes = arguments.logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum();
+    let bar = byte_bar(sizes, "reading");
+    let mut recorder = Recorder::default();
+    let notes = record::each_sample(&arguments.logs, mapping, counting(&bar), |sample| {
+        recorder.take(sample);
+        Ok::<(), Failure>(())
+    })?;
+    bar.finish_and_clear();
+    notes.iter().for_each(|note| warn(note));
+    let recording = recorder.finish().map_err(|error| Failure::data(error.to_string()))?;
+    if recording.beyond > 0 {
+        warn(&format!(
+            "duty cycle and calibration are of the first {} samples; {} more follow",
+            recording.log.len(),
+            recording.beyond
+        ));
+    }
+    Ok(recording)
+}
+
+/// Step 5: the model; `Trained` where it was trained just now.
+fn model(
+    arguments: &AdoptArguments,
+    folder: &Folder,
+    described: Option<&Described>,
+) -> Result<(Arc<Model>, Option<Trained>), Failure> {
+    if arguments.from == Step::Baseline {
+        return Ok((Arc::new(load_model(&folder.path("model.json"))?), None));
+    }
+    let spec = match described {
+        Some(described) => described.adoption.spec.clone(),
+        None => folder.read_plant()?,
+    };
+    let settings = folder.read_basis()?.settings(&spec);
+    let mut progress: Option<((Stage, usize), Steps)> = None;
+    let trained = seepd_train::train(&spec, &settings, &mut |now, done, all| {
+        progress = progress.take().filter(|(stage, _)| *stage == (now, all));
+        let (_, steps) = progress
+            .get_or_insert_with(|| ((now, all), Steps::begin(all as u64, super::train::name_of(now))));
+        steps.set(done as u64);
+    })
+    .map_err(|error| training_failure(&error))?;
+    drop(progress);
+    folder.write("model.json", &trained.json)?;
+    let model = load_model(&folder.path("model.json"))?;
+    Ok((Arc::new(model), Some(trained)))
+}
+
+fn training_failure(error: &TrainError) -> Failure {
+    let help = "without a model, `[monitor] kind = \"relative\"` still says that something has changed";
+    Failure::data(format!("no model could be trained for this machine: {error}; {help}"))
+}
+
+/// Step 6: the baseline of the logs' cycles.
+fn baseline(
+    arguments: &AdoptArguments,
+    folder: &Folder,
+    config: &AxisConfig,
+    model: &Arc<Model>,
+) -> Result<BaselineFile, Failure> {
+    let duty_cycle = DutyCycle { name: None, model: Arc::clone(model) };
+    let mut pipeline = Pipeline::new(config.monitor(vec![duty_cycle]))?;
+    pipeline.monitors_mut()[0]
+        .learn("adoption", MOST_CYCLES)
+        .map_err(|error| Failure::new(Code::Configuration, error.to_string()))?;
+    let notes = record::each_sample(
+        &arguments.logs,
+        &config.log_mapping(),
+        |_| (),
+        |sample| {
+            pipeline.push(sample, &mut |_| ());
+            Ok::<(), Failure>(())
+        },
+    )?;
+    pipeline.finish(&mut |_| ());
+    notes.iter().for_each(|note| warn(note));
+    let monitor = &pipeline.monitors()[0];
+    let baseline = match (monitor.baseline(), monitor.learner()) {
+        (Some(baseline), _) => Ok(baseline.clone()),
+        (None, Some(learner)) => learner.baseline(monitor.model()).map_err(|error| error.to_string()),
+        (None, None) => Err("no cycle was read".to_owned()),
+    };
+    let rejected = pipeline.summary().rejected;
+    let baseline = baseline.map_err(|what| {
+        let listed: Vec<String> = rejected.iter().map(|(name, count)| format!("{count} {name}")).collect();
+        let rejected =
+            if listed.is_empty() { String::new() } else { format!(" (rejected: {})", listed.join(", ")) };
+        Failure::data(format!(
+            "plant and model are in the folder, but no baseline could be learned: {what}{rejected}"
+        ))
+    })?;
+    told::baseline(&baseline, rejected.values().sum());
+    let mut file = BaselineFile::new(&config.axis, model);
+    file.baselines.push(baseline);
+    let json = file.to_json().map_err(|error| Failure::writing(&folder.path("baseline.json"), error))?;
+    folder.write("baseline.json", json)?;
+    Ok(file)
+}
+
+/// The plant of a folder.
+fn read_plant(path: &Path) -> Result<MachineSpec, Failure> {
+    let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
+    MachineSpec::from_toml(&text).map_err(|error| Failure::configuration(path, error))
+}
