@@ -1,57 +1,25 @@
-//! `seepd adopt-blind`: adoption checked on machines whose truth is withheld from it.
-//!
-//! `plant` writes papers and logs of machines that another simulator has made, and the truth into another folder; `score` compares what
-//! was said of them with it.
+//! `seepd adopt-blind score`: what was said of the machines, against the truth.
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::{self, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 
-use clap::{Args, Subcommand, ValueEnum};
-use rayon::prelude::*;
-use seepd_blind::axis::score::{self, Answer, Answered, CycleAnswer, Scores};
-use seepd_blind::axis::{self, Case, Container, HEALTHY, Later, LogTruth, LoggedSignals, Truth};
+use clap::Args;
+use seepd_blind::axis::score::{Answer, Answered, CycleAnswer, Scores, score};
+use seepd_blind::axis::{HEALTHY, LoggedSignals, Truth};
 use seepd_monitor::event::Flag;
 use serde::Deserialize;
 
-use super::blind::{begin_folder, in_own_folder, json, read_json, write_json};
+use super::{Ended, TRUTH};
 use crate::cli::Outcome;
-use crate::failure::{Code, Failure};
+use crate::commands::blind::{json, read_json, write_json};
+use crate::failure::Failure;
 use crate::output::{Outputs, OverwriteArguments};
-use crate::progress::Steps;
-use crate::sink::mcap::{ChunkCompression, McapSink, schema};
 use crate::sink::terminal::print;
 
-/// Checks `seepd adopt` on machines of others: plants their papers and logs with a second simulator, and scores what was said of them.
 #[derive(Debug, Args)]
-#[command(
-    after_help = "Example:\n  seepd adopt-blind plant --out logs --truth truth --machines 12 --seed 1\n  \
-                        seepd adopt-blind score --truth truth --adopted adopted"
-)]
-pub struct AdoptBlindArguments {
-    #[command(subcommand)]
-    step: Step,
-}
-
-#[derive(Debug, Subcommand)]
-enum Step {
-    /// Write a folder for each machine, with machine.toml and logs, and the truth into another folder
-    #[command(
-        after_help = "Example: seepd adopt-blind plant --out logs --truth truth --machines 12 --seed 1"
-    )]
-    Plant(PlantArguments),
-    /// Score what adoption and the adopted monitors said
-    #[command(
-        after_help = "For each machine the folder has NAME.json, with how adoption ended and how long it took, and NAME/LOG.jsonl \
-                      for each later log, what `seepd replay --json` printed.\n\n\
-                      Example: seepd adopt-blind score --truth truth --adopted adopted"
-    )]
-    Score(ScoreArguments),
-}
-
-#[derive(Debug, Args)]
-struct ScoreArguments {
+pub(super) struct ScoreArguments {
     /// Folder with the truth
     #[arg(long, value_name = "DIR")]
     truth: PathBuf,
@@ -63,142 +31,6 @@ struct ScoreArguments {
     json: Option<PathBuf>,
     #[command(flatten)]
     overwrite: OverwriteArguments,
-}
-
-#[derive(Debug, Args)]
-struct PlantArguments {
-    /// Folder for the machines; must be empty or not exist
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
-    /// Folder for the truth; must be empty or not exist
-    #[arg(long, value_name = "DIR")]
-    truth: PathBuf,
-    /// Number of machines
-    #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u16).range(1..=999))]
-    machines: u16,
-    /// Seed of everything that is drawn
-    #[arg(long, value_name = "S")]
-    seed: u64,
-    /// Signals in the logs
-    #[arg(long, value_enum, default_value_t = Signals::Both)]
-    signals: Signals,
-    /// Plant a ladder of leaks in the place of two or three, to tell the smallest that is found
-    #[arg(long)]
-    ladder: bool,
-    /// Duty cycles of the later healthy log [default: 20 to 30]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=10_000))]
-    healthy_cycles: Option<u16>,
-}
-
-/// Which signals the logs have.
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Signals {
-    /// The valve command.
-    Command,
-    /// The valve command, the position demand and the position.
-    Position,
-    /// Every second machine has the command alone.
-    Both,
-}
-
-impl Signals {
-    fn of(self, number: usize) -> LoggedSignals {
-        match self {
-            Signals::Command => LoggedSignals::Command,
-            Signals::Position => LoggedSignals::Position,
-            Signals::Both if number.is_multiple_of(2) => LoggedSignals::Command,
-            Signals::Both => LoggedSignals::Position,
-        }
-    }
-}
-
-const TRUTH: &str = "truth.json";
-const MACHINE: &str = "machine.toml";
-
-/// Runs the command.
-///
-/// # Errors
-/// [`Failure`] for folders and files.
-pub fn run(arguments: &AdoptBlindArguments) -> Result<Outcome, Failure> {
-    match &arguments.step {
-        Step::Plant(arguments) => plant(arguments),
-        Step::Score(arguments) => tell_scores(arguments),
-    }
-}
-
-fn plant(arguments: &PlantArguments) -> Result<Outcome, Failure> {
-    for folder in [&arguments.out, &arguments.truth] {
-        begin_folder(folder)?;
-    }
-    let machines = usize::from(arguments.machines);
-    let later = Later { ladder: arguments.ladder, healthy_cycles: arguments.healthy_cycles.map(usize::from) };
-    let steps = Steps::begin(machines as u64, "planting");
-    let truths: BTreeMap<String, Truth> = (1..=machines)
-        .into_par_iter()
-        .map(|number| {
-            let drawn = axis::draw(arguments.seed, number, arguments.signals.of(number), later);
-            let case = drawn.ok_or_else(|| {
-                Failure::new(Code::Internal, format!("machine {number}: no machine that works was drawn"))
-            })?;
-            write_case(&arguments.out.join(&case.name), &case)?;
-            steps.one_more();
-            Ok((case.name, case.truth))
-        })
-        .collect::<Result<_, Failure>>()?;
-    drop(steps);
-    write_json(&in_own_folder(&arguments.truth.join(TRUTH))?, &truths)?;
-    print(format!("{machines} machines\n").as_bytes())?;
-    Ok(Outcome::Good)
-}
-
-fn write_case(folder: &Path, case: &Case) -> Result<(), Failure> {
-    begin_folder(folder)?;
-    let sheet = toml::to_string(&case.sheet)
-        .map_err(|error| Failure::new(Code::Internal, format!("{}: {error}", case.name)))?;
-    in_own_folder(&folder.join(MACHINE))?.write(sheet)?;
-    for (name, log) in &case.truth.logs {
-        let finite = match case.truth.format.container {
-            Container::Csv => write_csv(&folder.join(format!("{name}.csv")), &case.truth, log),
-            Container::Mcap => write_mcap(&folder.join(format!("{name}.mcap")), &case.truth, log),
-        }?;
-        if !finite {
-            let what = format!("{}: the machine of {name} went out of bounds", case.name);
-            return Err(Failure::new(Code::Internal, what));
-        }
-    }
-    Ok(())
-}
-
-fn write_csv(path: &Path, truth: &Truth, log: &LogTruth) -> Result<bool, Failure> {
-    let mut file = in_own_folder(path)?.create()?;
-    let written = file
-        .write_all(truth.format.header().as_bytes())
-        .and_then(|()| truth.write_log(log, |_, line| file.write_all(line.as_bytes())));
-    let finite = written.map_err(|error| Failure::writing(path, error))?;
-    file.finish()?;
-    Ok(finite)
-}
-
-fn write_mcap(path: &Path, truth: &Truth, log: &LogTruth) -> Result<bool, Failure> {
-    let writing = |error| Failure::writing(path, error);
-    let mut sink = McapSink::new(in_own_folder(path)?.create()?, ChunkCompression::Zstd).map_err(writing)?;
-    let channel = sink.add_channel("/machine/axis", "machine.Axis", schema::ANY).map_err(writing)?;
-    let finite = truth
-        .write_log(log, |time_s, message| {
-            sink.write(channel, (time_s * 1e9).round() as i64, message.as_bytes())
-        })
-        .map_err(writing)?;
-    sink.finish().map_err(writing)?;
-    sink.into_inner().finish()?;
-    Ok(finite)
-}
-
-/// How adoption of a machine ended: the content of NAME.json.
-#[derive(Debug, Deserialize)]
-struct Adoption {
-    #[serde(flatten)]
-    outcome: score::Outcome,
-    seconds: f64,
 }
 
 /// What is scored of a line of `seepd replay --json`.
@@ -214,7 +46,7 @@ struct ReplayLine {
 /// Schema of a cycle's line.
 const CYCLE_SCHEMA: &str = "seepd.cycle/1";
 
-fn tell_scores(arguments: &ScoreArguments) -> Result<Outcome, Failure> {
+pub(super) fn run(arguments: &ScoreArguments) -> Result<Outcome, Failure> {
     let truth = arguments.truth.join(TRUTH);
     let file = arguments.json.as_ref().filter(|path| *path != Path::new("-"));
     let file = Outputs::new(arguments.overwrite, [truth.as_path()]).claim_any(file)?;
@@ -236,7 +68,7 @@ fn tell_scores(arguments: &ScoreArguments) -> Result<Outcome, Failure> {
             })
             .collect();
         if !cases.is_empty() {
-            scores.insert(named, score::score(&cases));
+            scores.insert(named, score(&cases));
         }
     }
     if scores.is_empty() {
@@ -258,7 +90,7 @@ fn tell_scores(arguments: &ScoreArguments) -> Result<Outcome, Failure> {
 }
 
 fn read_answer(adopted: &Path, name: &str, truth: &Truth) -> Result<Answer, Failure> {
-    let Adoption { outcome, seconds } = read_json(&adopted.join(format!("{name}.json")))?;
+    let Ended { outcome, seconds } = read_json(&adopted.join(format!("{name}.json")))?;
     let mut logs = BTreeMap::new();
     for log in truth.logs.keys().filter(|log| *log != HEALTHY) {
         let path = adopted.join(name).join(format!("{log}.jsonl"));
@@ -355,6 +187,8 @@ fn tables(scores: &BTreeMap<&str, Scores>) -> String {
 
 #[cfg(test)]
 mod tests {
+    use seepd_blind::axis::score::Outcome as Adoption;
+
     use super::*;
 
     #[test]
@@ -375,11 +209,11 @@ mod tests {
 
     #[test]
     fn an_ended_adoption_reads() {
-        let read = |text: &str| serde_json::from_str::<Adoption>(text).unwrap();
+        let read = |text: &str| serde_json::from_str::<Ended>(text).unwrap();
         let adopted = read(r#"{"adopted":{"smallest_leak_lpm":0.4},"seconds":100.5}"#);
-        assert_eq!(adopted.outcome, score::Outcome::Adopted { smallest_leak_lpm: Some(0.4) });
+        assert_eq!(adopted.outcome, Adoption::Adopted { smallest_leak_lpm: Some(0.4) });
         assert_eq!(adopted.seconds, 100.5);
         let refused = read(r#"{"refused":{"reason":"no cycle"},"seconds":2}"#);
-        assert_eq!(refused.outcome, score::Outcome::Refused { reason: "no cycle".into() });
+        assert_eq!(refused.outcome, Adoption::Refused { reason: "no cycle".into() });
     }
 }
