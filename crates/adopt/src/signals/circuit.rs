@@ -38,10 +38,10 @@ const RAISED: f64 = 0.06;
 /// Swings of the chambers within this of each other tell no areas apart.
 const EVEN_SWINGS: f64 = 0.06;
 
-/// Command and position at the traces' rate, as far as they are known.
+/// Command, and position where it is known, at the traces' rate.
 pub(super) struct Drive<'a> {
     /// Share of full command.
-    pub(super) command: Option<Vec<f64>>,
+    pub(super) command: Vec<f64>,
     /// m.
     pub(super) position: Option<Vec<f64>>,
     pub(super) rate_hz: f64,
@@ -333,7 +333,7 @@ impl Circuit<'_, '_> {
     /// Whether the command raises a pressure beyond what the piston's speed makes up for: partial correlation of its rate with the
     /// command, given the speed.
     fn raised_by_command(&self, pressure_pa: impl Fn(usize) -> f64) -> Option<f64> {
-        let (command, position) = (self.drive.command.as_ref()?, self.drive.position.as_ref()?);
+        let (command, position) = (&self.drive.command, self.drive.position.as_ref()?);
         let pressure: Vec<f64> = (0..command.len()).map(pressure_pa).collect();
         let at_stretch = |stretch_s: &f64| {
             let length = ((stretch_s * self.drive.rate_hz).round() as usize).max(1);

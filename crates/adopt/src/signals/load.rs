@@ -143,7 +143,7 @@ fn by_chambers(trace: &Trace<'_>, traces: &[Trace<'_>], proposal: &SignalProposa
 
 /// By the command, which a load that helps to extend spares at the same speed.
 fn by_command(trace: &Trace<'_>, drive: &Drive<'_>) -> Option<(f64, String)> {
-    let (command, position) = (drive.command.as_ref()?, drive.position.as_ref()?);
+    let (command, position) = (&drive.command, drive.position.as_ref()?);
     let length = ((STRETCH_S * drive.rate_hz).round() as usize).max(1);
     let [force, command, position] =
         [&trace.values, command, position].map(|values| Smoothed::of(values, length));

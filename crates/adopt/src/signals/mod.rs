@@ -111,6 +111,17 @@ impl SignalProposal {
         Some(mapping)
     }
 
+    /// The column of a signal with its way to SI, or the likeliest where that alone is open.
+    fn mapping_of(&self, signal: Signal) -> Option<(usize, &SignalMapping)> {
+        if let Some(Assigned { column, mapping, .. }) = self.assigned.get(&signal) {
+            return Some((*column, mapping));
+        }
+        let question = self.questions.iter().find(|question| question.signal == signal)?;
+        let first = question.candidates.first()?;
+        let one_column = question.candidates.iter().all(|candidate| candidate.column == first.column);
+        one_column.then_some((first.column, &first.mapping))
+    }
+
     /// Takes a column as a signal, or the question that there is about it.
     fn settle(&mut self, signal: Signal, outcome: Outcome) {
         match outcome {
@@ -141,11 +152,13 @@ pub fn propose(columns: &Columns, hints: &Hints) -> SignalProposal {
         }
     }
     Motion::new(&traces, rate_hz, hints).propose(&mut proposal);
-    let in_si = |signal: Signal| {
-        let Assigned { column, mapping, .. } = proposal.assigned.get(&signal)?;
-        Some(traces[*column].values.iter().map(|value| value * mapping.scale + mapping.offset).collect())
+    // Nothing more can be told of an axis whose command is not known.
+    let Some(command) = proposal.mapping_of(Signal::Command) else { return proposal };
+    let in_si = |(column, mapping): (usize, &SignalMapping)| {
+        traces[column].values.iter().map(|value| value * mapping.scale + mapping.offset).collect()
     };
-    let drive = Drive { command: in_si(Signal::Command), position: in_si(Signal::Position), rate_hz, hints };
+    let position = proposal.mapping_of(Signal::Position).map(in_si);
+    let drive = Drive { command: in_si(command), position, rate_hz, hints };
     circuit::propose(&traces, &drive, &mut proposal);
     load::propose(&traces, &drive, &mut proposal);
     cycle_start::propose(&traces, &drive, &mut proposal);

@@ -43,8 +43,16 @@ const CLEAR_DELAY_S: f64 = 0.004;
 /// Noise that a demand, which is computed, does not have, share of its range, and what it is worth, s of delay.
 const LEAST_NOISE: f64 = 2e-5;
 const NOISY_DELAY_S: f64 = 0.03;
+/// By how much a valve's spool is behind its command at most, s.
+const LONGEST_LAG_S: f64 = 0.06;
+/// Share of the variance from which a column is the difference of two others.
+const IS_DIFFERENCE: f64 = 0.99;
 /// Share of the variance from which one column is a copy of another.
 const IS_COPY: f64 = 0.999_999;
+
+const SEVERAL_AXES: &str = "the log has several axes; name the command of the one to look at";
+const SEVERAL_COMMANDS: &str = "several columns go with the speed equally well";
+const BARE_DIFFERENCE: &str = "it goes with the speed, but it is the difference of demand and position, which is the control error if it is no command";
 
 /// See the [module](self).
 pub(super) struct Motion<'a, 't> {
@@ -131,20 +139,26 @@ impl<'a, 't> Motion<'a, 't> {
             }
             return;
         }
-        let chosen = self.best_pair();
-        let Some((command, length)) = chosen else { return self.settle_command_alone(proposal) };
-        let axes = self.other_axes(command, length);
-        let rivals = self.rivals(command, length);
-        let asked = if axes.is_empty() { &rivals } else { &axes };
-        if !asked.is_empty() {
-            let all: Vec<(usize, usize)> =
-                std::iter::once((command, length)).chain(asked.iter().copied()).collect();
-            proposal.questions.push(self.ask_command(&all, axes.is_empty()));
+        let Some((best, length)) = self.best_pair() else { return self.settle_command_alone(proposal) };
+        let axes = self.other_axes(best, length);
+        if !axes.is_empty() {
+            proposal.questions.push(self.ask_command(&[vec![(best, length)], axes].concat(), SEVERAL_AXES));
             return;
         }
-        let position = self.control_loop(command, length).position.unwrap_or(length);
-        proposal.settle(Signal::Command, self.settle_command(command, position));
-        self.settle_loop(command, length, proposal);
+        match self.equals(best, length).as_slice() {
+            [command] if self.is_bare_difference(*command) => {
+                proposal.questions.push(self.ask_command(&[(*command, length)], BARE_DIFFERENCE));
+            }
+            [command] => {
+                let position = self.control_loop(*command, length).position.unwrap_or(length);
+                proposal.settle(Signal::Command, self.settle_command(*command, position));
+                self.settle_loop(*command, length, proposal);
+            }
+            several => {
+                let pairs: Vec<(usize, usize)> = several.iter().map(|command| (*command, length)).collect();
+                proposal.questions.push(self.ask_command(&pairs, SEVERAL_COMMANDS));
+            }
+        }
     }
 
     fn drive(&self, command: usize, length: usize) -> Option<&Drives> {
@@ -196,27 +210,55 @@ impl<'a, 't> Motion<'a, 't> {
         let alike = self.alike(length);
         let other = |rival: &usize| {
             let driven = self.driven_by(*rival)?;
-            let apart = *rival != command && driven != length && !alike.contains_key(&driven);
+            let of_axis = |index: usize| index == command || index == length || alike.contains_key(&index);
+            let apart = !of_axis(*rival) && !of_axis(driven);
             let better = self.explained(*rival, driven) > self.explained(*rival, length) + NAME_BONUS;
             (apart && better && self.why_not(*rival, driven).is_none()).then_some((*rival, driven))
         };
         self.commands.iter().filter_map(other).collect()
     }
 
-    /// Columns that drive the same length as well as the best one does.
-    fn rivals(&self, command: usize, length: usize) -> Vec<(usize, usize)> {
-        let best = self.score(command, length);
+    /// The columns that drive a length as well as the best one does, which cannot be told apart: the best alone, where they can.
+    fn equals(&self, best: usize, length: usize) -> Vec<usize> {
+        let score = self.score(best, length);
         let tied = |rival: &usize| {
-            let close = best - self.score(*rival, length) < TIED;
+            let close = score - self.score(*rival, length) < TIED;
             // A name that says command is not passed over in silence.
-            let named = self.says_command(*rival) && !self.says_command(command);
-            *rival != command
-                && (close || named)
+            let named = self.says_command(*rival) && !self.says_command(best);
+            (close || named)
                 && self.explained(*rival, length) >= DRIVES_AT_LEAST
                 && self.why_not(*rival, length).is_none()
-                && !self.is_copy(command, *rival)
+                && !self.is_copy(best, *rival)
         };
-        self.commands.iter().filter(|rival| tied(rival)).map(|rival| (*rival, length)).collect()
+        let rivals = self.commands.iter().copied().filter(|rival| *rival != best && tied(rival));
+        let equals: Vec<usize> = std::iter::once(best).chain(rivals).collect();
+        // What comes later is what the valve makes of the command; a difference of lengths is the error that it is made from.
+        let is_first = |one: &usize| !equals.iter().any(|other| other != one && self.is_later(*one, *other));
+        let first: Vec<usize> = equals.iter().copied().filter(is_first).collect();
+        let whole: Vec<usize> = first.iter().copied().filter(|one| !self.is_bare_difference(*one)).collect();
+        [whole, first, equals].into_iter().find(|left| !left.is_empty()).unwrap_or_default()
+    }
+
+    /// Whether a column is another once more, later.
+    fn is_later(&self, one: usize, other: usize) -> bool {
+        let most = (LONGEST_LAG_S * self.rate_hz) as isize;
+        let delays: Vec<isize> = (-most..=most).collect();
+        let found = follows(&self.traces[other].values, &self.traces[one].values, &delays);
+        found.is_some_and(|found| {
+            found.explained >= FOLLOWS_AT_LEAST && found.behind as f64 / self.rate_hz > CLEAR_DELAY_S
+        })
+    }
+
+    /// Whether a column, which is not called a command, is the mere difference of two lengths, in a unit of theirs.
+    fn is_bare_difference(&self, one: usize) -> bool {
+        let values = |index: usize| &self.traces[index].values;
+        let is_of = |(a, b): (usize, usize)| {
+            let difference: Vec<f64> = values(a).iter().zip(values(b)).map(|(a, b)| a - b).collect();
+            let found = follows(&difference, values(one), &[0]);
+            found.is_some_and(|found| found.explained >= IS_DIFFERENCE && is_ratio_of_units(found.gain))
+        };
+        let pairs = self.lengths.iter().flat_map(|a| self.lengths.iter().map(move |b| (*a, *b)));
+        !self.says_command(one) && pairs.filter(|(a, b)| a < b && *a != one && *b != one).any(is_of)
     }
 
     fn is_copy(&self, one: usize, other: usize) -> bool {
@@ -224,7 +266,7 @@ impl<'a, 't> Motion<'a, 't> {
         found.is_some_and(|found| found.explained >= IS_COPY)
     }
 
-    fn ask_command(&self, pairs: &[(usize, usize)], one_axis: bool) -> Question {
+    fn ask_command(&self, pairs: &[(usize, usize)], why: &str) -> Question {
         let candidate = |(command, length): &(usize, usize)| {
             let (mapping, scale) = self.command_mapping(*command, *length);
             let share = self.explained(*command, *length);
@@ -236,12 +278,7 @@ impl<'a, 't> Motion<'a, 't> {
             Candidate { column: *command, mapping, what }
         };
         let candidates: Vec<Candidate> = pairs.iter().map(candidate).collect();
-        let why = if one_axis {
-            "several columns go with the speed equally well".to_owned()
-        } else {
-            format!("the log has {} axes; name the command of the one to look at", candidates.len())
-        };
-        Question { signal: Signal::Command, candidates, why }
+        Question { signal: Signal::Command, candidates, why: why.into() }
     }
 
     /// A mapping of a command, and what is open about its scale.
@@ -299,7 +336,7 @@ impl<'a, 't> Motion<'a, 't> {
                     mapping: mapping_to(trace, way.scale, way.offset),
                     confidence: sure.min(scale_sure),
                     evidence,
-                    rivals: Vec::new(),
+                    rivals: self.beaten(command, length),
                 })
             }
             Found::Open(ways, why) => {
@@ -317,10 +354,34 @@ impl<'a, 't> Motion<'a, 't> {
         }
     }
 
+    /// Columns that go with the speed too, and why they are not the command.
+    fn beaten(&self, command: usize, length: usize) -> Vec<Rival> {
+        let goes_along =
+            |rival: &&usize| **rival != command && self.explained(**rival, length) >= DRIVES_AT_LEAST;
+        let rival = |rival: &usize| Rival {
+            column: *rival,
+            why_not: self.why_not(*rival, length).unwrap_or_else(|| {
+                let name = shown(&self.traces[*rival]);
+                let explained = 100.0 * self.explained(*rival, length);
+                if self.is_bare_difference(*rival) {
+                    format!("{name} is the difference of two lengths, a control error.")
+                } else if self.is_later(*rival, command) {
+                    format!("{name} is the command once more, later: what the valve makes of it.")
+                } else {
+                    format!("{name} explains {explained:.0} % of the speed, and is not called a command.")
+                }
+            }),
+        };
+        self.commands.iter().filter(goes_along).map(rival).collect()
+    }
+
     /// Where no column moves a length: the command by its name, or as the only column that can be one.
     fn settle_command_alone(&self, proposal: &mut SignalProposal) {
-        let usable: Vec<usize> =
-            self.commands.iter().copied().filter(|index| turns(&self.traces[*index])).collect();
+        let may_be = |index: &usize| {
+            let trace = &self.traces[*index];
+            turns(trace) && trace.name.role() != Role::Demand
+        };
+        let usable: Vec<usize> = self.commands.iter().copied().filter(may_be).collect();
         let named: Vec<usize> = usable.iter().copied().filter(|index| self.says_command(*index)).collect();
         let chosen = if named.is_empty() { &usable } else { &named };
         match chosen.as_slice() {

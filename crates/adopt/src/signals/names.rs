@@ -173,6 +173,9 @@ const WORDS: &[(Topic, &[&str])] = &[
             "limit",
             "lim",
             "switch",
+            "term",
+            "anteil",
+            "ratio",
         ],
     ),
 ];

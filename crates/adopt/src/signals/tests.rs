@@ -188,3 +188,139 @@ fn property_no_way_to_write_pressures_and_load_is_taken_wrongly() {
         assert_found(&columns, Vec::new(), sure);
     }
 }
+
+/// What a transducer of another kind would show beside the press.
+fn along(field: &str, unit: Option<&str>, value: impl Fn(usize) -> f64) -> Column {
+    column(field, unit, (0..press().len()).map(value))
+}
+
+fn position_loop() -> Vec<As> {
+    vec![si(Command, "ch1"), si(Demand, "ch2"), si(Position, "ch3")]
+}
+
+#[test]
+fn temp_1_is_no_pressure_and_neither_are_currents_counters_and_drifts() {
+    let traps = vec![
+        along("Temp_1", None, |n| 41.0 + n as f64 * 1e-4 + (n as f64 / 1600.0).sin()),
+        along("oil_temp", Some("bar"), |n| 160.0 + n as f64 * 1e-4),
+        along("motor_current", Some("A"), |n| 80.0 + 60.0 * (n as f64 / 1600.0).sin()),
+        along("pressure_setpoint", Some("bar"), |n| if n / 2000 % 2 == 0 { 100.0 } else { 160.0 }),
+        along("cycle_count", None, |n| (n / 10_000) as f64),
+        along("stamp", None, |n| 1.7e9 + n as f64 * 1e-3),
+        along("state", None, |n| (n / 1000 % 4) as f64),
+        along("p_term", None, |n| 200.0 * (n as f64 / 1600.0).sin()),
+        along("spare", None, |_| 12.0),
+    ];
+    let found = assert_found(&position_loop(), traps, &[Command, Demand, Position]);
+    assert_eq!(found.assigned.len(), 3, "{:#?}", found.assigned);
+    assert_eq!(found.questions, []);
+}
+
+#[test]
+fn a_control_error_a_speed_and_a_spool_are_no_commands() {
+    let [command, demand, position] = [Command, Demand, Position].map(|signal| measured(press(), signal));
+    let speed = |n: usize| {
+        let at = |n: usize| position[n.clamp(10, position.len() - 11)];
+        (at(n.clamp(10, position.len() - 11) + 10) - at(n.clamp(10, position.len() - 11) - 10)) * 50.0
+    };
+    let named = vec![
+        along("error", None, |n| demand[n] - position[n]),
+        along("speed", Some("m/s"), speed),
+        along("valve_spool_feedback", None, |n| command[n.saturating_sub(12)]),
+    ];
+    assert_found(&position_loop(), named, &[Command, Demand, Position]);
+    // Without names, too.
+    for trap in [
+        along("ch4", None, |n| demand[n] - position[n]),
+        along("ch4", None, |n| 1000.0 * speed(n)),
+        along("ch4", None, |n| command[n.saturating_sub(12)]),
+    ] {
+        let found = assert_found(&position_loop(), vec![trap], &[Command, Demand, Position]);
+        assert_eq!(found.assigned[&Command].rivals.len(), 1);
+    }
+    // A log with the error and no command: asked, not taken.
+    let columns = [si(Demand, "ch2"), si(Position, "ch3")];
+    let error = along("ch4", None, |n| demand[n] - position[n]);
+    let found = assert_found(&columns, vec![error], &[]);
+    assert!(!found.assigned.contains_key(&Command));
+    assert_eq!(found.questions.iter().map(|question| question.signal).collect::<Vec<_>>(), [Command]);
+}
+
+#[test]
+fn a_log_without_a_command_is_refused_with_what_each_column_is() {
+    let columns =
+        [of(Demand, "command_mm", Some("mm"), 1e3, 0.0), of(Position, "position_mm", Some("mm"), 1e3, 0.0)];
+    let extra =
+        vec![along("force", Some("kN"), |n| (n as f64 / 900.0).sin()), along("k", None, |n| n as f64)];
+    let found = assert_found(&columns, extra, &[]);
+    assert_eq!(
+        found.refusal.as_deref(),
+        Some(
+            "no column can be a valve command: `command_mm` is a length (mm); `position_mm` is a length (mm); `force` is a force (kN); \
+             `k` only counts"
+        )
+    );
+    assert_eq!(found.questions, []);
+}
+
+#[test]
+fn two_axes_are_asked_and_the_answer_settles_the_rest() {
+    let [command, position] = [Command, Position].map(|signal| measured(press(), signal));
+    // The other axis does the same 4 s later.
+    let later = |values: &[f64], n: usize| values[(n + values.len() - 4000) % values.len()];
+    let columns = [si(Command, "left_valve"), si(Position, "left_pos")];
+    let other = vec![
+        along("right_valve", None, |n| later(&command, n)),
+        along("right_pos", None, |n| later(&position, n)),
+    ];
+    let both = log([rendered(&columns), other].concat());
+    let found = propose(&both, &Hints::default());
+    assert_eq!(found.assigned.len(), 0, "{:#?}", found.assigned);
+    let fields: Vec<&str> =
+        found.questions[0].candidates.iter().map(|of| of.mapping.field.as_str()).collect();
+    assert_eq!((found.questions[0].signal, fields), (Command, vec!["left_valve", "right_valve"]));
+    let answer = found.questions[0].candidates[1].mapping.clone();
+    let hints = Hints { given: [(Command, answer)].into(), ..Hints::default() };
+    let found = propose(&both, &hints);
+    assert_eq!(found.assigned[&Position].mapping.field, "right_pos");
+    assert_eq!(found.questions, []);
+}
+
+#[test]
+fn a_mark_rises_once_a_cycle_at_one_position() {
+    let marks = vec![
+        along("cycle_start", None, |n| f64::from(n % 10_000 < 50)),
+        along("start_pump", None, |n| f64::from(n > 20_000)),
+        along("valve_enable", None, |n| f64::from(n % 10_000 < 5000)),
+    ];
+    let columns = position_loop();
+    let found = propose(&log([rendered(&columns), marks].concat()), &Hints::default());
+    let mark = &found.assigned[&Signal::CycleStart];
+    assert_eq!((mark.column, mark.mapping.scale, mark.mapping.offset), (3, 1.0, 0.0));
+}
+
+#[test]
+fn a_known_stroke_tells_centimetres() {
+    let columns = [si(Command, "u"), of(Position, "x", None, 100.0, 0.0)];
+    let hints = Hints { stroke_m: Some(0.5), ..Hints::default() };
+    let found = propose(&log(rendered(&columns)), &hints);
+    assert_eq!(wrong(&found, &columns), [""; 0]);
+    assert_eq!(found.assigned[&Position].mapping.scale, 0.01);
+}
+
+#[test]
+fn slow_topics_and_gaps_change_nothing() {
+    let mut columns = rendered(&position_loop());
+    for values in columns.iter_mut().skip(1).map(|column| &mut column.values) {
+        for at in 0..values.len() {
+            values[at] = if (21_000..22_000).contains(&at) { f32::NAN } else { values[at / 20 * 20] };
+        }
+    }
+    let found = propose(&log(columns), &Hints::default());
+    assert_eq!(wrong(&found, &position_loop()), [""; 0]);
+    assert!(
+        [Command, Position].iter().all(|signal| found.assigned.contains_key(signal)),
+        "{:?}",
+        found.questions
+    );
+}
