@@ -114,26 +114,29 @@ enum Scale {
 }
 
 fn scale(trace: &Trace<'_>, hints: &Hints) -> Scale {
+    let (least, largest) = usual_range(trace);
     let fits = |factor: f64| {
-        let highest_pa = trace.largest * factor;
+        let highest_pa = largest * factor;
         let known = hints.supply_pa.is_none_or(|supply_pa| OF_SUPPLY.contains(&(highest_pa / supply_pa)));
-        known && HIGHEST_PA.contains(&highest_pa) && trace.least * factor >= LEAST_PA
+        known && HIGHEST_PA.contains(&highest_pa) && least * factor >= LEAST_PA
     };
     let plausible: Vec<(f64, &str)> = UNITS.iter().copied().filter(|(factor, _)| fits(*factor)).collect();
-    let highest = number(trace.largest);
+    let highest = number(largest);
     if let Some(unit) = trace.unit {
         let name = trace.column.unit.as_deref().unwrap_or_default();
-        let possible =
-            trace.largest * unit.factor <= *HIGHEST_PA.end() && trace.least * unit.factor >= LEAST_PA;
+        let possible = largest * unit.factor <= *HIGHEST_PA.end() && least * unit.factor >= LEAST_PA;
         return if possible {
             Scale::Sure(unit.factor, 0.95, format!("It is in {name}."))
         } else {
-            Scale::Open(plausible, format!("its unit is {name}, of which {highest} is no pressure"))
+            Scale::Open(
+                plausible,
+                format!("its unit is {name}, in which {} to {highest} is no pressure", number(least)),
+            )
         };
     }
     let customary = |(factor, unit): &&(f64, &str)| match *unit {
-        "bar" => BAR.contains(&trace.largest),
-        "Pa" => PASCAL.contains(&trace.largest),
+        "bar" => BAR.contains(&largest),
+        "Pa" => PASCAL.contains(&largest),
         _ => hints.supply_pa.is_some() && plausible.len() == 1 && fits(*factor),
     };
     match plausible.iter().find(customary) {
@@ -142,6 +145,14 @@ fn scale(trace: &Trace<'_>, hints: &Hints) -> Scale {
         }
         None => Scale::Open(plausible.clone(), format!("it has no unit, and reaches {highest}")),
     }
+}
+
+/// Between which values a trace is but for 1 % of the time at either end: a card that is switched on gives anything.
+fn usual_range(trace: &Trace<'_>) -> (f64, f64) {
+    let mut sorted: Vec<f64> = trace.values.iter().copied().filter(|value| value.is_finite()).collect();
+    sorted.sort_by(f64::total_cmp);
+    let at = |share: f64| sorted.get((share * sorted.len() as f64) as usize).copied().unwrap_or_default();
+    (at(0.01), at(0.99))
 }
 
 fn ask_unit(signal: Signal, trace: &Trace<'_>, ways: Vec<(f64, &'static str)>, why: &str) -> Question {

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use seepd_logs::SignalMapping;
 use seepd_signals::Signal;
 
+use super::correlation::partial;
 use super::full_scale::{self, Found};
 use super::length::{self, LengthScale};
 use super::names::Role;
@@ -36,8 +37,11 @@ const RATIO_TOLERANCE: f64 = 0.01;
 const END_STOPS: f64 = 0.015;
 /// Share of a position's variance that its demand explains at least.
 const FOLLOWS_AT_LEAST: f64 = 0.97;
-/// The same, where the name says that it is a demand: some stand where they are while their controller does not act.
-const FOLLOWS_BY_NAME: f64 = 0.8;
+/// Correlation of a command with what is called a demand, given the position, from which it is that axis' demand: one that stands where it
+/// is while its controller does not act is not like the position at all times.
+const ASKED_FOR: f64 = 0.3;
+/// Share of the position's variance that such a demand explains at least.
+const LIKE_AT_ALL: f64 = 0.5;
 /// Delay from which one column is behind another, s.
 const CLEAR_DELAY_S: f64 = 0.004;
 /// Noise that a demand, which is computed, does not have, share of its range, and what it is worth, s of delay.
@@ -207,7 +211,7 @@ impl<'a, 't> Motion<'a, 't> {
 
     /// Commands of other axes in the log: pairs that go together better than with this axis.
     fn other_axes(&self, command: usize, length: usize) -> Vec<(usize, usize)> {
-        let alike = self.alike(length);
+        let alike = self.alike(command, length);
         let other = |rival: &usize| {
             let driven = self.driven_by(*rival)?;
             let of_axis = |index: usize| index == command || index == length || alike.contains_key(&index);
@@ -425,8 +429,8 @@ impl<'a, 't> Motion<'a, 't> {
         format!("no column can be a valve command: {}", reasons.join("; "))
     }
 
-    /// Columns that are like a length, each with how it follows it.
-    fn alike(&self, length: usize) -> BTreeMap<usize, Follows> {
+    /// Columns that are like a length that a command drives, each with how it follows it.
+    fn alike(&self, command: usize, length: usize) -> BTreeMap<usize, Follows> {
         let most = (LONGEST_DELAY_S * self.rate_hz) as isize;
         let step = (most / 80).max(1);
         let delays: Vec<isize> = (-most..=most).step_by(step as usize).collect();
@@ -440,9 +444,19 @@ impl<'a, 't> Motion<'a, 't> {
         let most = found.values().map(|follows| follows.explained).fold(0.0, f64::max);
         let is_alike = |other: usize, explained: f64| {
             let is_demand = self.traces[other].name.role() == Role::Demand;
-            explained >= FOLLOWS_AT_LEAST || (is_demand && explained >= FOLLOWS_BY_NAME && explained == most)
+            let is_likeliest = is_demand && explained == most && explained >= LIKE_AT_ALL;
+            explained >= FOLLOWS_AT_LEAST || (is_likeliest && self.is_asked_for(command, other, length))
         };
         found.into_iter().filter(|(other, follows)| is_alike(*other, follows.explained)).collect()
+    }
+
+    /// Whether a command goes with a demand beyond what it has in common with the position: a controller turns the one into the other.
+    fn is_asked_for(&self, command: usize, demand: usize, position: usize) -> bool {
+        let sign =
+            if self.drive(command, position).is_some_and(|drives| drives.falling) { -1.0 } else { 1.0 };
+        let [command, demand, position] = [command, demand, position].map(|index| &self.traces[index].values);
+        let beyond = partial(command, demand, std::slice::from_ref(position));
+        beyond.is_some_and(|beyond| sign * beyond >= ASKED_FOR)
     }
 
     /// Settles demand and position of the axis of a command.
@@ -533,7 +547,7 @@ impl<'a, 't> Motion<'a, 't> {
 
     /// Which of the lengths that are alike is the demand, and which the position.
     fn control_loop(&self, command: usize, length: usize) -> Loop {
-        let alike = self.alike(length);
+        let alike = self.alike(command, length);
         let alone = Loop {
             demand: None,
             position: Some(length),

@@ -228,7 +228,11 @@ impl Name {
         {
             own = outer;
         }
-        Name { words: words_of(own), around: parts.into_iter().flat_map(words_of).collect() }
+        let mut words = words_of(own);
+        let unit = column.unit.as_deref().unwrap_or_default().to_lowercase();
+        // The unit is no word: `pressure_b_pa` is at no port called `pa`.
+        words.pop_if(|last| own.len() > unit.len() && *last == unit);
+        Name { words, around: parts.into_iter().flat_map(words_of).collect() }
     }
 
     /// What the field is, by its own name, or else by what it is in.
@@ -369,6 +373,13 @@ mod tests {
         ] {
             assert_eq!(name(topic, field).role(), role, "{topic} {field}");
         }
+    }
+
+    #[test]
+    fn a_unit_is_no_word() {
+        let (field, unit) = ("pressure_b_pa".to_owned(), Some("pa".to_owned()));
+        let name = Name::of(&Column { topic: String::new(), field, unit, values: Vec::new() });
+        assert_eq!(name.port(), Port { signal: Some(Signal::PRod), in_words: false });
     }
 
     #[test]
