@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use seepd_gap::{Calibration, Log, Record, RecordError, calibrate};
+use seepd_gap::{Calibration, CalibrationSettings, Log, Record, RecordError, calibrate};
 use seepd_signals::Signal;
 use seepd_sim::{MachineSpec, SpecError};
 
@@ -33,6 +33,8 @@ const LARGEST_TOLERANCE: f64 = 0.30;
 const POSITION_ROOM: f64 = 0.02;
 /// A rest of the command, over its range, from which the demand that was found is remarked on.
 const POOR: f64 = 0.03;
+/// A friction below this share of the largest force of the piston is left out.
+const LEAST_FRICTION: f64 = 0.01;
 /// A uniform distribution of this half width has the standard deviation of 1.
 const UNIFORM: f64 = 1.732_050_8;
 
@@ -51,8 +53,6 @@ pub struct Adoption {
     pub demand_rest: Option<f64>,
     /// What calibration showed; `None` where the log has no position.
     pub calibration: Option<Calibration<MachineSpec>>,
-    /// Leak that the calibration found in this log, m²; the plant has none.
-    pub leak_area_m2: Option<f64>,
     /// Added to the log's positions so that they lie within the stroke, m.
     pub position_offset_m: f64,
     /// Standard deviation of the command's noise.
@@ -183,9 +183,7 @@ impl Adopter<'_> {
         spec.check()?;
         let mut values = self.described.values.clone();
         let calibration = if position.is_some() { Some(self.calibrated(&spec, offset_m)?) } else { None };
-        let mut leak_area_m2 = None;
         if let Some(calibration) = &calibration {
-            leak_area_m2 = Some(calibration.machine.plant.leak_area_m2);
             spec = learned(calibration, &mut values);
         }
         spec.bounds.clear();
@@ -198,7 +196,6 @@ impl Adopter<'_> {
             demand: origin,
             demand_rest: asked.rest,
             calibration,
-            leak_area_m2,
             position_offset_m: offset_m,
             remarks: self.remarks,
         })
@@ -231,7 +228,9 @@ impl Adopter<'_> {
         position: Option<&[f64]>,
     ) -> Option<FittedGains> {
         let (demand, position) = (demand?, position?);
-        let fitted = fit_gains(command, demand, position, spec.controller.period_s);
+        // What the controller adds to step over the dead band, as far as the user knows it, is no part of its gains.
+        let uncompensated: Vec<f64> = command.iter().map(|u| spec.controller.uncompensated(*u)).collect();
+        let fitted = fit_gains(&uncompensated, demand, position, spec.controller.period_s);
         let Some(gains) = fitted.filter(|gains| gains.explained > EXPLAINED) else {
             let share = 100.0 * fitted.map_or(0.0, |gains| gains.explained.max(0.0));
             self.remarks.push(format!(
@@ -282,7 +281,13 @@ impl Adopter<'_> {
             spec.bounds.insert(key.into(), [value.value / room, value.value * room]);
         }
         let record = Record::new(&self.laid_on_plan(&spec, offset_m), &spec)?;
-        Ok(calibrate(&record, &spec, ITERATIONS))
+        // A leak and a shifted null look alike in a command. The log is of a healthy machine; what stands in its holds is the valve's.
+        let mut effects = vec!["valve_bias".to_owned(), "coulomb_friction".to_owned()];
+        if spec.effects.contains_key("valve_deadband") {
+            effects.push("valve_deadband".to_owned());
+        }
+        let settings = CalibrationSettings { iterations: ITERATIONS, wear: false, effects };
+        Ok(calibrate(&record, &spec, &settings))
     }
 
     /// The recorded cycles one after the other, each stroke in its planned place, under the plan's demand and load.
@@ -347,7 +352,12 @@ fn learned(
     values: &mut BTreeMap<&'static str, PlantValue>,
 ) -> MachineSpec {
     let mut spec = calibration.machine.clone();
-    spec.plant.leak_area_m2 = 0.0;
+    let largest_n = spec.plant.cap_area_m2 * spec.plant.relief_pressure_pa;
+    // A friction that hardly acts would only make every simulated step dearer.
+    let friction_n = spec.effects.get("coulomb_friction").and_then(|values| values.get("force_n"));
+    if friction_n.is_some_and(|force_n| *force_n < LEAST_FRICTION * largest_n) {
+        spec.effects.remove("coulomb_friction");
+    }
     // Where the simulation stays further from the log than the log from itself, its intervals are too narrow.
     let misfit = |(signal, gap): (&&'static str, &f64)| {
         gap / calibration.floor.get(*signal).copied().unwrap_or(*gap).max(1e-9)

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crate::diagnosis::split;
-use crate::fit::{Fit, Problem, Target, free_parameters};
+use crate::fit::{Fit, Free, Problem, Target, free_parameters, of_effect};
 use crate::record::Record;
 use crate::report::CalibratedValue;
 use crate::shrink::HeldOut;
@@ -15,7 +15,7 @@ use crate::simulated_axis::SimulatedAxis;
 pub struct Calibration<A> {
     /// The machine with the fitted parameters and wear.
     pub machine: A,
-    /// The fitted parameters by key, wear among them.
+    /// The fitted parameters by key, wear among them where it was fitted; effects are in the machine.
     pub parameters: BTreeMap<&'static str, CalibratedValue>,
     /// RMS over range of the differences on held-out cycles, by signal: before, and after.
     pub gaps: [BTreeMap<&'static str, f64>; 2],
@@ -27,11 +27,36 @@ pub struct Calibration<A> {
     pub simulated: BinnedSignals,
 }
 
-/// Fits a machine's parameters, within their bounds and priors, and its wear to a record.
-pub fn calibrate<A: SimulatedAxis>(record: &Record, spec: &A, iterations: usize) -> Calibration<A> {
+/// What is fitted beside the plant's parameters.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct CalibrationSettings {
+    /// Iterations of the fit.
+    pub iterations: usize,
+    /// Whether wear is fitted; without, it stays as the machine has it.
+    pub wear: bool,
+    /// Keys of effects that the machine is given.
+    pub effects: Vec<String>,
+}
+
+/// Fits a machine's parameters, within their bounds and priors, to a record, and what the settings ask for beside them. Effects that there are
+/// none of by a name are left out.
+pub fn calibrate<A: SimulatedAxis>(
+    record: &Record,
+    spec: &A,
+    settings: &CalibrationSettings,
+) -> Calibration<A> {
+    let iterations = settings.iterations;
     let (fitted, held_out) = split(record);
     let problem = Problem::new(record, &fitted);
-    let start = Fit::at(&problem, spec, free_parameters(spec));
+    let wear = spec.wear().map(|parameter| parameter.key);
+    let is_wear =
+        |free: &Free| matches!(free.target, Target::Plant(parameter) if Some(parameter.key) == wear);
+    let mut free = free_parameters(spec);
+    free.retain(|free| settings.wear || !is_wear(free));
+    let wanted =
+        A::catalogue().into_iter().filter(|effect| settings.effects.iter().any(|key| key == effect.key));
+    free.extend(wanted.flat_map(|effect| of_effect(effect, spec)));
+    let start = Fit::at(&problem, spec, free);
     let fit = start.fitted_from_afar(&problem, iterations).renewed(&problem);
     let parameters = fit
         .free

@@ -15,7 +15,7 @@ mod shrink;
 mod simulate;
 pub mod simulated_axis;
 
-pub use calibration::{Calibration, calibrate};
+pub use calibration::{Calibration, CalibrationSettings, calibrate};
 pub use diagnosis::{DiagnosisSettings, cannot_tell, diagnose, nominal_gap};
 pub use record::{Log, Mismatch, Record, RecordError, Shortage};
 pub use report::Diagnosis;

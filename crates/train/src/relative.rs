@@ -605,7 +605,7 @@ fn fit_leak_residual(
 
 /// Cycles between false alarms of a one-sided cumulative sum whose input lies the allowance below 0, in standard deviations
 /// (Siegmund, "Sequential Analysis", Springer (1985), with his correction for the overshoot).
-fn cycles_between_false_alarms(threshold: f64, allowance: f64) -> f64 {
+pub fn cycles_between_false_alarms(threshold: f64, allowance: f64) -> f64 {
     let height = threshold + 1.166;
     let exponent = 2.0 * allowance * height;
     (exponent.exp() - exponent - 1.0) / (2.0 * allowance * allowance)

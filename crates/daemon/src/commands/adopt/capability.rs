@@ -7,12 +7,11 @@ use seepd_monitor::baseline::BaselineFile;
 use seepd_monitor::event::LPM_PER_M3_PER_S;
 use seepd_monitor::pipeline::{HOURS_PER_YEAR, REFERENCE_DP_PA};
 use seepd_train::Trained;
+use seepd_train::relative::cycles_between_false_alarms;
 use serde::Serialize;
 
 /// Numbers of cycles within which the smallest leak is told.
 const WITHIN_CYCLES: [u32; 3] = [20, 100, 500];
-/// The nominal press's thresholds are for a valve of this flow at 70 bar over the loop, L/min.
-const NOMINAL_WATCH_SHARE: f64 = 0.006;
 /// A watch threshold lies so far above the smallest leak that is found within 100 cycles.
 const ROOM: f64 = 1.2;
 
@@ -55,7 +54,9 @@ impl Capability {
                 .collect();
             confounded = per_m2 * reference(false);
             let cycles_a_year = HOURS_PER_YEAR * 3600.0 / model.file().cycle.period_s;
-            years = cycles_a_year / detection.cycles_between_false_alarms;
+            // At its baseline the residual's mean is 0: the sums fall by the reference and the allowance in each cycle.
+            let allowance = reference(false) / deviation + DRIFT_ALLOWANCE;
+            years = cycles_a_year / cycles_between_false_alarms(detection.threshold, allowance);
         }
         let accuracy = trained.and_then(|trained| trained.relative.command.get(1));
         let mut capability = Capability {
@@ -98,13 +99,12 @@ impl Capability {
     /// Thresholds in proportion to the valve, and above what can be found.
     pub(crate) fn alarm(&self, model: &Model) -> AlarmConfig {
         let usual = AlarmConfig::default();
-        // Training reaches from a two-hundredth of the nominal watch threshold up, whatever the machine's size.
+        // The model's range of leaks goes with the valve; the usual thresholds are those of the nominal press.
         let offset_m2 = model.relative().map_or(2e-8, |relative| relative.file().offset_m2);
         let scale = offset_m2 / 2e-8;
         let found =
             self.smallest_lpm.iter().find(|(cycles, ..)| *cycles == 100).map_or(0.0, |found| ROOM * found.1);
         let watch = rounded((scale * usual.watch_lpm).max(found));
-        let _ = NOMINAL_WATCH_SHARE;
         AlarmConfig {
             watch_lpm: watch,
             leak_lpm: rounded(watch * usual.leak_lpm / usual.watch_lpm),

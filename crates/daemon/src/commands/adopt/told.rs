@@ -116,6 +116,10 @@ pub(super) fn machine(adoption: &Adoption) {
             "  the log has no position, so that nothing is calibrated: the tolerances of the data stay in the intervals"
         ));
     }
+    for (effect, values) in &adoption.spec.effects {
+        let values: Vec<String> = values.iter().map(|(name, value)| format!("{name} {value:.4}")).collect();
+        say(format_args!("  {effect}: {}", values.join(", ")));
+    }
     adoption.remarks.iter().for_each(|remark| say(format_args!("  {remark}")));
 }
 
@@ -166,7 +170,7 @@ pub(super) fn json(
             "values": adoption.values,
             "gap": adoption.calibration.as_ref().map(|calibration| &calibration.gaps[1]),
             "floor": adoption.calibration.as_ref().map(|calibration| &calibration.floor),
-            "leak_area_m2": adoption.leak_area_m2,
+            "effects": adoption.spec.effects,
             "remarks": adoption.remarks,
         })
     });
