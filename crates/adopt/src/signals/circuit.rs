@@ -164,7 +164,7 @@ fn ask_unit(signal: Signal, trace: &Trace<'_>, ways: Vec<(f64, &'static str)>, w
     Question {
         signal,
         candidates: ways.into_iter().map(candidate).collect(),
-        why: format!("{} is a pressure, but {why}", shown(trace)),
+        why: format!("{} is a pressure, but {why}.", shown(trace)),
     }
 }
 
@@ -268,7 +268,7 @@ impl Circuit<'_, '_> {
                         _ => {
                             settled.insert(
                                 signal,
-                                self.ask(signal, several, "the log has more pressures than chambers"),
+                                self.ask(signal, several, "The log has more pressures than chambers."),
                             );
                         }
                     }
@@ -288,19 +288,19 @@ impl Circuit<'_, '_> {
         let both = [first, second];
         let (verdict, sure, why) = match (named, physics) {
             (Verdict::Open, Verdict::Open) => {
-                let why = "neither name nor motion tells the chambers apart";
+                let why = "Neither name nor motion tells the chambers apart.";
                 return self.ask_both(&both, why, settled);
             }
             (named, physics) if named == physics => (named, 0.95, BY_BOTH),
             (Verdict::Open, physics) => (physics, 0.8, BY_MOTION),
             (named, Verdict::Open) if in_words => (named, 0.85, BY_NAME),
             (_, Verdict::Open) => {
-                let why = "the names are letters, and the motion does not tell the chambers apart";
+                let why = "The names are letters, and the motion does not tell the chambers apart.";
                 return self.ask_both(&both, why, settled);
             }
             (_, physics) if !in_words => (physics, 0.75, BY_MOTION),
             _ => {
-                let why = "the names say one thing, and how they move with command and speed the other";
+                let why = "The names say one thing, and how they move with command and speed the other.";
                 return self.ask_both(&both, why, settled);
             }
         };
@@ -322,7 +322,7 @@ impl Circuit<'_, '_> {
             }
             (named, moved) => {
                 let signal = moved.or(named).unwrap_or(Signal::PCap);
-                let why = "a single pressure may be of either chamber, of the supply or of the return line";
+                let why = "A single pressure may be of either chamber, of the supply or of the return line.";
                 settled.insert(signal, self.ask(signal, &[at], why));
             }
         }
@@ -386,9 +386,13 @@ impl Circuit<'_, '_> {
     }
 
     fn ask(&self, signal: Signal, gauges: &[usize], why: &str) -> Outcome {
+        let what = match signal {
+            Signal::PCap => "the pressure in the cap's chamber",
+            _ => "the pressure in the rod's chamber",
+        };
         let candidate = |at: &usize| {
             let Gauge { trace, scale, .. } = &self.gauges[*at];
-            Candidate { column: trace.index, mapping: mapping_to(trace, *scale, 0.0), what: shown(trace) }
+            Candidate { column: trace.index, mapping: mapping_to(trace, *scale, 0.0), what: what.into() }
         };
         Outcome::Asked(Question {
             signal,

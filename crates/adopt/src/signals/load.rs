@@ -38,10 +38,14 @@ pub(super) fn propose(traces: &[Trace<'_>], drive: &Drive<'_>, proposal: &mut Si
         several => {
             let candidate = |trace: &&Trace<'_>| {
                 let scale = ways(trace).first().map_or(1.0, |way| way.0);
-                Candidate { column: trace.index, mapping: mapping_to(trace, scale, 0.0), what: shown(trace) }
+                Candidate {
+                    column: trace.index,
+                    mapping: mapping_to(trace, scale, 0.0),
+                    what: "the load".into(),
+                }
             };
             let candidates = several.iter().map(candidate).collect();
-            let why = "the log has several forces".into();
+            let why = "The log has several forces.".into();
             proposal.questions.push(Question { signal: Signal::Load, candidates, why });
         }
     }
@@ -106,7 +110,7 @@ fn settled(trace: &Trace<'_>, traces: &[Trace<'_>], drive: &Drive<'_>, proposal:
     Outcome::Asked(Question {
         signal: Signal::Load,
         candidates,
-        why: format!("{} is the load, but {why}", shown(trace)),
+        why: format!("{} is the load, but {why}.", shown(trace)),
     })
 }
 

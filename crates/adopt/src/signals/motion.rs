@@ -54,9 +54,9 @@ const IS_DIFFERENCE: f64 = 0.99;
 /// Share of the variance from which one column is a copy of another.
 const IS_COPY: f64 = 0.999_999;
 
-const SEVERAL_AXES: &str = "the log has several axes; name the command of the one to look at";
-const SEVERAL_COMMANDS: &str = "several columns go with the speed equally well";
-const BARE_DIFFERENCE: &str = "it goes with the speed, but it is the difference of demand and position, which is the control error if it is no command";
+const SEVERAL_AXES: &str = "The log has several axes; name the command of the one to look at.";
+const SEVERAL_COMMANDS: &str = "Several columns go with the speed equally well.";
+const BARE_DIFFERENCE: &str = "It goes with the speed, but it is the difference of demand and position: the control error, if it is no command.";
 
 /// See the [module](self).
 pub(super) struct Motion<'a, 't> {
@@ -275,7 +275,7 @@ impl<'a, 't> Motion<'a, 't> {
             let (mapping, scale) = self.command_mapping(*command, *length);
             let share = self.explained(*command, *length);
             let what = format!(
-                "moves {} (explains {:.0} % of its speed){scale}",
+                "the command of {}, of whose speed it explains {:.0} %{scale}",
                 shown(&self.traces[*length]),
                 100.0 * share
             );
@@ -352,7 +352,7 @@ impl<'a, 't> Motion<'a, 't> {
                 Outcome::Asked(Question {
                     signal: Signal::Command,
                     candidates: ways.into_iter().map(candidate).collect(),
-                    why: format!("{} is the command, but {why}", shown(trace)),
+                    why: format!("{} is the command, but {why}.", shown(trace)),
                 })
             }
         }
@@ -410,11 +410,12 @@ impl<'a, 't> Motion<'a, 't> {
                     .iter()
                     .map(|index| {
                         let (mapping, scale) = self.command_mapping(*index, *index);
-                        let what = format!("{}{scale}", shown(&self.traces[*index]));
+                        let what = format!("a valve command{scale}");
                         Candidate { column: *index, mapping, what }
                     })
                     .collect(),
-                why: "several columns could be a valve command, and none moves a position in this log".into(),
+                why: "Several columns could be a valve command, and none moves a position in this log."
+                    .into(),
             }),
         }
     }
@@ -496,22 +497,19 @@ impl<'a, 't> Motion<'a, 't> {
             proposal.questions.push(Question {
                 signal: Signal::Position,
                 candidates: found.undecided.iter().map(candidate).collect(),
-                why: "several columns move alike".into(),
+                why: "Several columns move alike.".into(),
             });
         }
     }
 
     fn length_candidate(&self, index: usize) -> Candidate {
         let trace = &self.traces[index];
-        let (scale, what) = match length::find(trace, self.hints) {
-            LengthScale::Sure(scale, _, why) => (scale, why),
-            LengthScale::Open(ways, why) => (ways.first().map_or(1.0, |way| way.0), why),
+        let scale = match length::find(trace, self.hints) {
+            LengthScale::Sure(scale, ..) => scale,
+            LengthScale::Open(ways, _) => ways.first().map_or(1.0, |way| way.0),
         };
-        Candidate {
-            column: index,
-            mapping: mapping_to(trace, scale, 0.0),
-            what: format!("{}: {what}", shown(trace)),
-        }
+        let what = format!("the position, each of its units {} mm", full_scale::number(1e3 * scale));
+        Candidate { column: index, mapping: mapping_to(trace, scale, 0.0), what }
     }
 
     fn settle_length(
@@ -539,7 +537,7 @@ impl<'a, 't> Motion<'a, 't> {
                 Outcome::Asked(Question {
                     signal,
                     candidates: ways.into_iter().map(candidate).collect(),
-                    why: format!("{} is the {}, but {why}", shown(trace), signal.name()),
+                    why: format!("{} is the {}, but {why}.", shown(trace), signal.name()),
                 })
             }
         }

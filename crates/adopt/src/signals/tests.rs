@@ -1,10 +1,13 @@
 //! Logs as others write them: every signal that is assigned is the right one with the right way to SI, or it is asked.
 
-use seepd_logs::columns::Column;
+use seepd_logs::columns::{Column, Columns, Known};
+use seepd_logs::{TimeUnit, open_with};
 use seepd_signals::Signal;
 use seepd_signals::Signal::{Command, Demand, Load, PCap, PInlet, PRod, PSupply, Position};
 
-use super::test_logs::{column, log, measured, press};
+use seepd_sim::{MachineSpec, SimulatedSignals};
+
+use super::test_logs::{column, log, measured, press, simulated};
 use super::{Hints, SignalProposal, propose};
 
 /// A column of a simulated signal: `value · per_si + offset`.
@@ -26,8 +29,12 @@ const fn si(signal: Signal, field: &'static str) -> As {
 }
 
 fn rendered(columns: &[As]) -> Vec<Column> {
+    rendered_of(press(), columns)
+}
+
+fn rendered_of(machine: &[SimulatedSignals<f64>], columns: &[As]) -> Vec<Column> {
     let render = |As { signal, field, unit, per_si, offset }: &As| {
-        column(field, *unit, measured(press(), *signal).into_iter().map(|value| value * per_si + offset))
+        column(field, *unit, measured(machine, *signal).into_iter().map(|value| value * per_si + offset))
     };
     columns.iter().map(render).collect()
 }
@@ -323,4 +330,64 @@ fn slow_topics_and_gaps_change_nothing() {
         "{:?}",
         found.questions
     );
+}
+
+/// Machines with other loads, areas, controllers and wear, of which every column is unnamed.
+#[test]
+fn property_no_machine_is_taken_wrongly() {
+    let plants = [
+        "[plant]\nmass_kg = 900.0\n[effects.load_bias]\nforce_n = -5000.0\n",
+        "[plant]\nannulus_area_m2 = 2.9e-3\n",
+        "[controller]\nkp = 30.0\nki = 0.0\n[effects.valve_deadband]\nhalf_width = 0.04\n",
+        "[effects.coulomb_friction]\nforce_n = 1500.0\n[effects.valve_lag]\nnatural_frequency_hz = 12.0\n",
+    ];
+    let bar = |signal: Signal, field: &'static str| of(signal, field, Some("bar"), 1e-5, 0.0);
+    for plant in plants {
+        let spec = MachineSpec::from_toml(plant).unwrap();
+        let machine = simulated(&spec);
+        let columns = [
+            bar(PRod, "ch1"),
+            bar(PSupply, "ch2"),
+            si(Demand, "ch3"),
+            of(Load, "force", Some("kN"), -1e-3, 0.0),
+            si(Command, "ch4"),
+            bar(PCap, "ch5"),
+            of(Position, "ch6", None, 1e3, 0.0),
+        ];
+        let found = propose(&log(rendered_of(&machine, &columns)), &Hints::default());
+        assert_eq!(wrong(&found, &columns), [""; 0], "{plant}");
+        let all = [Command, Demand, Position, PSupply, PCap, PRod, Load];
+        let keys: Vec<Signal> = found.assigned.keys().copied().collect();
+        assert_eq!((keys, found.questions), (all.to_vec(), Vec::new()), "{plant}");
+    }
+}
+
+#[test]
+fn a_log_opens_with_the_mapping_that_was_proposed() {
+    let signals = [Command, Position, PCap].map(|signal| measured(press(), signal));
+    let row = |n: usize| {
+        let [u, x, p] = signals.each_ref().map(|values| values[n]);
+        format!("{};{:.5};{:.4};{:.3}\n", n, 12.0 - 8.0 * u, 1e3 * x, 1e-5 * p)
+    };
+    let rows: String = (0..20_000).map(row).collect();
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(
+        file.path(),
+        format!("Zeit [ms];Ventilstrom [mA];Kolbenweg [mm];Druck Kolbenseite [bar]\n{rows}"),
+    )
+    .unwrap();
+    let columns = Columns::of_file(file.path(), &Known::default()).unwrap();
+    let mapping = propose(&columns, &Hints::default()).mapping(&columns).unwrap();
+    assert_eq!((mapping.time_column.as_str(), mapping.time_unit), ("Zeit [ms]", Some(TimeUnit::Ms)));
+    let mut source = open_with(file.path(), &mapping, |_| {}).unwrap();
+    for n in 0..20_000 {
+        let sample = source.next_sample().unwrap().unwrap();
+        assert_eq!(sample.time_ns, n as i64 * 1_000_000);
+        for (signal, (values, tolerance)) in
+            [Command, Position, PCap].into_iter().zip(signals.iter().zip([1e-5, 1e-6, 1e3]))
+        {
+            let read = sample.get(signal).unwrap();
+            assert!((read - values[n]).abs() < tolerance, "{signal:?} {n}: {read} {}", values[n]);
+        }
+    }
 }
