@@ -78,13 +78,13 @@ pub(super) fn build(noise: &mut Noise) -> Option<Built> {
         bulk_modulus_pa: noise.uniform(0.9e9, 1.5e9),
         air: noise.log_uniform(5e-4, 5e-3),
     };
-    let cylinder = cylinder(pressure_pa, &oil, noise)?;
+    let mut cylinder = cylinder(pressure_pa, &oil, noise)?;
     let omega = natural_rad_per_s(&cylinder, &oil);
-    let (mut cylinder, duty) = (cylinder.clone(), duty(&cylinder, pressure_pa, omega, noise));
+    let duty = duty(&cylinder, pressure_pa, omega, noise);
     cylinder.contact = contact(&cylinder, &duty, pressure_pa, noise);
     let supply = supply(&cylinder, &duty, pressure_pa, noise);
     let (valve, rated_m3_per_s, rated_at_pa) = valve(&cylinder, &supply, &duty, noise)?;
-    let controller = controller(&cylinder, &supply, &valve, (omega, duty.period_s()), noise)?;
+    let controller = controller(&cylinder, &supply, &valve, omega, duty.period_s(), noise)?;
     let duty = if noise.chance(RAPID) { with_rapid(duty, &cylinder, &supply, &valve) } else { duty };
     let machine = Machine { cylinder, valve, supply, oil, controller, duty };
     Some(Built { machine, rated_m3_per_s, rated_at_pa })
@@ -372,7 +372,8 @@ fn controller(
     cylinder: &Cylinder,
     supply: &Supply,
     valve: &Valve,
-    (omega, cycle_s): (f64, f64),
+    omega: f64,
+    cycle_s: f64,
     noise: &mut Noise,
 ) -> Option<Controller> {
     let (out, back) = speeds(cylinder, supply, 0.0);
