@@ -53,12 +53,12 @@ impl TrainingBasis {
         }
     }
 
-    /// The settings with which a model for the machine is trained.
-    pub fn settings(&self, spec: &MachineSpec) -> TrainingSettings {
+    /// The settings with which a model for the machine is trained, with that share of the machines that there is time for.
+    pub fn settings(&self, spec: &MachineSpec, effort: f64) -> TrainingSettings {
         let usual = TrainingSettings::default();
         let c = &spec.controller;
         let steps = spec.cycle.period_s / c.period_s * c.steps_per_period as f64;
-        let share = (NOMINAL_STEPS / steps).clamp(LEAST_SHARE, 1.0);
+        let share = (effort * NOMINAL_STEPS / steps).clamp(LEAST_SHARE, 1.0);
         let count = |machines: usize| (machines as f64 * share) as usize;
         let tolerances = Tolerances { share: 0.05, of: self.tolerances.clone() };
         let period = self.period_spread.clamp(LEAST_PERIOD, MOST_PERIOD);

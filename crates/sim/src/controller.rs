@@ -132,7 +132,7 @@ impl<T: Real> Pid<T> {
         let integrated = state.integral + increment;
         let mut others = self.kp * e - self.kd_per_period * (position - state.position);
         if self.is_extended {
-            others = others + self.feed_forward_per_period * (demand - state.demand);
+            others += self.feed_forward_per_period * (demand - state.demand);
             state.demand = demand;
         }
         let u = others + integrated;

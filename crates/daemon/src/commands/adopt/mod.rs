@@ -73,6 +73,9 @@ pub struct AdoptArguments {
     /// Step to begin with; earlier ones are taken from the folder
     #[arg(long, value_name = "STEP", default_value = "signals")]
     from: Step,
+    /// Train with a sixth of the machines, for a first look: intervals are wider
+    #[arg(long)]
+    quick: bool,
     /// Copy the result to /etc/seepd afterwards
     #[arg(long)]
     install: bool,
@@ -82,6 +85,9 @@ pub struct AdoptArguments {
     #[arg(long)]
     json: bool,
 }
+
+/// Share of the machines with which `--quick` trains.
+const QUICK: f64 = 1.0 / 6.0;
 
 /// The steps that one can begin with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, ValueEnum)]
@@ -285,7 +291,8 @@ fn model(
         Some(described) => described.adoption.spec.clone(),
         None => folder.read_plant()?,
     };
-    let settings = folder.read_basis()?.settings(&spec);
+    let effort = if arguments.quick { QUICK } else { 1.0 };
+    let settings = folder.read_basis()?.settings(&spec, effort);
     let mut progress: Option<((Stage, usize), Steps)> = None;
     let trained = seepd_train::train(&spec, &settings, &mut |now, done, all| {
         progress = progress.take().filter(|(stage, _)| *stage == (now, all));
