@@ -5,6 +5,8 @@
 //! back to more than an hour. The period is looked for only when somebody asks: as the lag at which a ring's values are most like themselves
 //! (normalised autocorrelation).
 
+use std::ops::Range;
+
 use seepd_signals::{Sample, Signal};
 use serde::Serialize;
 
@@ -54,6 +56,8 @@ pub(crate) struct CommandObserver {
     range: Option<[f64; 2]>,
     /// Number of the bin that is being filled, counted in [`BIN_NS`].
     bin: Option<i64>,
+    /// The time that it covers, ns.
+    bin_ns: Range<i64>,
     sum: f64,
     count: u32,
     mean: f32,
@@ -120,7 +124,16 @@ impl Default for Scale {
 impl Default for CommandObserver {
     fn default() -> Self {
         let scales = std::array::from_fn(|_| Scale::default());
-        CommandObserver { range: None, bin: None, sum: 0.0, count: 0, mean: 0.0, scales, stretch: None }
+        CommandObserver {
+            range: None,
+            bin: None,
+            bin_ns: 0..0,
+            sum: 0.0,
+            count: 0,
+            mean: 0.0,
+            scales,
+            stretch: None,
+        }
     }
 }
 
@@ -131,22 +144,29 @@ impl CommandObserver {
         let Some(command) = sample.get(Signal::Command).filter(|command| command.is_finite()) else { return };
         let [low, high] = self.range.unwrap_or([command; 2]);
         self.range = Some([low.min(command), high.max(command)]);
-        let bin = sample.time_ns.div_euclid(BIN_NS);
-        if self.bin != Some(bin) {
-            self.begin_bin(bin);
+        if !self.bin_ns.contains(&sample.time_ns) {
+            self.leave_bin(sample.time_ns.div_euclid(BIN_NS));
         }
         self.sum += command;
         self.count += 1;
         let time_ns = sample.time_ns;
         match &mut self.stretch {
-            Some(stretch) => (stretch.last_ns, stretch.intervals) = (time_ns, stretch.intervals + 1),
+            Some(stretch) => {
+                (stretch.last_ns, stretch.intervals) = (time_ns.max(stretch.last_ns), stretch.intervals + 1);
+            }
             None => self.stretch = Some(Stretch { first_ns: time_ns, last_ns: time_ns, intervals: 0 }),
         }
     }
 
-    fn begin_bin(&mut self, bin: i64) {
+    /// A sample of another bin has come; a late one is taken for one of this.
+    fn leave_bin(&mut self, bin: i64) {
         let since = self.bin.map_or(0, |before| bin.saturating_sub(before));
+        if (-BRIDGED_BINS..0).contains(&since) {
+            return;
+        }
         self.bin = Some(bin);
+        let begin_ns = bin.saturating_mul(BIN_NS);
+        self.bin_ns = begin_ns..begin_ns.saturating_add(BIN_NS);
         if self.count > 0 {
             self.mean = (self.sum / f64::from(self.count)) as f32;
         }
@@ -249,9 +269,14 @@ impl Scale {
         if longest <= LEAST_LAG {
             return None;
         }
+        let mut energy = [0.0; BINS + 1];
+        for (index, value) in values.iter().enumerate() {
+            energy[index + 1] = energy[index] + f64::from(value * value);
+        }
         let mut likeness = [0.0; BINS];
         for (lag, slot) in likeness.iter_mut().enumerate().take(longest + 1).skip(1) {
-            *slot = correlation(values, lag);
+            let scale = energy[count - lag] * (energy[count] - energy[lag]);
+            *slot = if scale > 0.0 { product(values, &values[lag..]) / scale.sqrt() } else { 0.0 };
         }
         let dip = (1..longest).find(|lag| likeness[*lag] < DIP)?.max(LEAST_LAG);
         let is_peak = |lag: &usize| {
@@ -268,17 +293,18 @@ impl Scale {
     }
 }
 
-/// Normalised correlation of the values with themselves, `lag` values later; 0 where they hardly move.
-fn correlation(values: &[f32], lag: usize) -> f64 {
-    let Some(later) = values.get(lag..) else { return 0.0 };
-    let (mut product, mut early, mut late) = (0.0f32, 0.0f32, 0.0f32);
-    for (a, b) in values.iter().zip(later) {
-        product += a * b;
-        early += a * a;
-        late += b * b;
+/// Sum of the products of two lists, as far as both go; in lanes, which a processor takes at once.
+fn product(a: &[f32], b: &[f32]) -> f64 {
+    const LANES: usize = 8;
+    let mut sums = [0.0f32; LANES];
+    for (a, b) in a.chunks_exact(LANES).zip(b.chunks_exact(LANES)) {
+        for lane in 0..LANES {
+            sums[lane] += a[lane] * b[lane];
+        }
     }
-    let energy = f64::from(early) * f64::from(late);
-    if energy > 0.0 { f64::from(product) / energy.sqrt() } else { 0.0 }
+    let whole = a.len().min(b.len()) / LANES * LANES;
+    let rest = a[whole..].iter().zip(&b[whole..]).map(|(a, b)| a * b);
+    f64::from(sums.iter().sum::<f32>() + rest.sum::<f32>())
 }
 
 #[cfg(test)]
@@ -317,6 +343,29 @@ mod tests {
             let [low, high] = seen.command_range.unwrap();
             assert!((low / scale + 0.41).abs() < 0.01 && (high / scale - 0.61).abs() < 0.01, "{low} {high}");
         }
+    }
+
+    #[test]
+    fn late_and_repeated_samples_do_not_hide_a_period() {
+        let mut observer = CommandObserver::default();
+        for tick in 0..30_000_i64 {
+            let command = if tick % 5000 < 1000 { 0.5 } else { -0.1 };
+            observer.take(&Sample::command(tick * 1_000_000, command));
+            if tick % 700 == 0 {
+                observer.take(&Sample::command((tick - 300) * 1_000_000, command));
+                observer.take(&Sample::command(tick * 1_000_000, command));
+            }
+        }
+        let period_s = observer.observation().period_s;
+        assert!(period_s.is_some_and(|period_s| (period_s - 5.0).abs() < 0.01), "{period_s:?}");
+    }
+
+    #[test]
+    fn analytic_product_of_any_length() {
+        let ones = [1.0f32; 21];
+        let counted: Vec<f32> = (0u8..19).map(f32::from).collect();
+        assert_eq!(product(&ones, &counted), 171.0);
+        assert_eq!(product(&counted[..5], &counted), 30.0);
     }
 
     #[test]

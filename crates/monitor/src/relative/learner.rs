@@ -236,6 +236,12 @@ mod tests {
         let text = baseline.to_json().unwrap();
         assert_eq!(RelativeBaseline::parse(&text).unwrap(), baseline);
         let broken = text.replace("\"period_s\": 10.0", "\"period_s\": -1.0");
+        let endless = text.replace("\"sample_rate_hz\": 1000.0", "\"sample_rate_hz\": 100000.0");
+        let endless = endless.replace("\"period_s\": 10.0", "\"period_s\": 3600.0");
+        assert_eq!(
+            RelativeBaseline::parse(&endless).unwrap_err().to_string(),
+            "a cycle must have at most 16 million samples"
+        );
         assert_eq!(
             RelativeBaseline::parse(&broken).unwrap_err().to_string(),
             "cycle.period_s must lie in 0.1 … 3600"

@@ -119,6 +119,9 @@ impl RelativeBaseline {
         if self.cycle.bin_samples == 0 {
             return wrong("cycle.bin_samples must not be 0");
         }
+        if !(0.0..=0.5).contains(&self.cycle.tolerance) {
+            return wrong("cycle.tolerance must lie in 0 … 0.5");
+        }
         let ends =
             self.cycle.anchors.iter().all(|anchor| (0.0..=self.cycle.period_s).contains(&anchor.end_s));
         if !ends || self.cycle.anchors[0].end_s >= self.cycle.anchors[1].end_s {

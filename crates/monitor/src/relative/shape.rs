@@ -23,6 +23,8 @@ const SHOULDER_SHARE: f64 = 0.015;
 const SHIFT_SHARE: f64 = 0.08;
 /// How far the distance between the strokes may be off, share of the period.
 const TOLERANCE: f64 = 0.08;
+/// Samples of the longest cycle that is held in memory: an hour at 4 kHz.
+const MOST_SAMPLES: f64 = 16e6;
 /// Least correlation that counts as a stroke.
 const LEAST_CORRELATION: f64 = 0.8;
 /// A stroke has at least this share of its template's standard deviation.
@@ -161,7 +163,7 @@ impl MeanCycle {
         let shoulder_s = SHOULDER_SHARE * self.period_s;
         let from_s = (stroke.from as f64 * self.bin_s() - shoulder_s).max(0.0);
         let to_s = (stroke.to as f64 * self.bin_s() + shoulder_s).min(self.period_s);
-        let count = (((to_s - from_s) / reader_bin_s).round() as usize).clamp(2, MAX_TEMPLATE_BINS);
+        let count = (((to_s - from_s) / reader_bin_s) as usize).clamp(2, MAX_TEMPLATE_BINS);
         let end_s = from_s + count as f64 * reader_bin_s;
         let shape: Vec<f64> =
             (0..count).map(|bin| self.at(from_s + (bin as f64 + 0.5) * reader_bin_s)).collect();
@@ -240,8 +242,11 @@ self_cell::self_cell!(
 
 impl DefinedCycle {
     /// # Errors
-    /// [`RelativeError::Reader`] where the reader has no room for it.
+    /// [`RelativeError`] where the reader has no room for it.
     pub(crate) fn open(cycle: Cycle, sample_rate_hz: f64) -> Result<Self, RelativeError> {
+        if cycle.period_s * sample_rate_hz > MOST_SAMPLES {
+            return Err(RelativeError::Values { what: "a cycle must have at most 16 million samples" });
+        }
         // Strokes at a steady command, as in rapid traverse, are no standstill here: what is to move, only a plan could tell.
         let moving = cycle.phase_list().into_iter();
         let phases: Vec<Phase> = moving.map(|phase| Phase { kind: PhaseKind::Hold, ..phase }).collect();
