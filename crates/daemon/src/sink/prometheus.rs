@@ -218,6 +218,7 @@ fn register_sinks(registry: &mut Registry, sinks: &[SinkStatus]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::hub::RelativeStatus;
 
     #[test]
     fn an_axis_without_an_estimate_has_a_flag_and_no_leak() {
@@ -234,6 +235,20 @@ mod tests {
         let text_with = text(&[status], &[SinkStatus::new("mqtt")]).unwrap();
         assert!(text_with.contains("seepd_leak_area_m2{axis=\"press \\\"1\\\"\"} 1e-7"), "{text_with}");
         assert!(text_with.contains("seepd_sink_good{sink=\"mqtt\"} 1"));
+    }
+
+    #[test]
+    fn without_an_estimate_the_period_and_without_a_model_the_change_are_told() {
+        let mut status = AxisStatus::new("press", 7e6);
+        status.observed_period_s = Some(7.02);
+        status.baseline.learned_cycles = Some(50);
+        status.relative = Some(RelativeStatus { changed: true, since_ns: Some(1), features: Vec::new() });
+        let text = text(&[status], &[]).unwrap();
+        assert!(text.contains("seepd_observed_period_s{axis=\"press\"} 7.02"), "{text}");
+        assert!(
+            text.contains("seepd_changed{axis=\"press\"} 1") && !text.contains("seepd_finding{"),
+            "{text}"
+        );
     }
 
     #[test]

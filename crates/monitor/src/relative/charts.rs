@@ -157,7 +157,10 @@ impl Charts {
             .filter(|(pair, _)| pair.up.max(pair.down) >= half)
             .collect();
         grown.sort_by(|(a, _), (b, _)| b.up.max(b.down).total_cmp(&a.up.max(a.down)));
-        let onset_ns = grown.iter().filter_map(|(pair, _)| pair.since_ns).min()?;
+        // Single sums may have left 0 by chance before the change, or long after it.
+        let mut since_ns: Vec<i64> = grown.iter().filter_map(|(pair, _)| pair.since_ns).collect();
+        since_ns.sort_unstable();
+        let onset_ns = *since_ns.get(since_ns.len() / 2)?;
         Some(Change { onset_ns, features: grown.into_iter().map(|(_, name)| name.clone()).collect() })
     }
 
