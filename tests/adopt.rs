@@ -68,7 +68,8 @@ fn another_press_is_adopted_and_its_leak_sized() {
     let folder = tempfile::tempdir().unwrap();
     let (plant, log, data) = machine(folder.path());
     let out = folder.path().join("press-3");
-    let adopt = ["adopt", text_of(&log), "--machine", text_of(&data), "--out", text_of(&out), "--quick", "--json"];
+    let adopt =
+        ["adopt", text_of(&log), "--machine", text_of(&data), "--out", text_of(&out), "--quick", "--json"];
     let output = seepd(adopt);
     let told: Value = serde_json::from_str(&stdout(&output)).unwrap();
     assert_eq!(told["schema"], "seepd.adopt/1");
@@ -79,11 +80,24 @@ fn another_press_is_adopted_and_its_leak_sized() {
     assert!((valve["value"].as_f64().unwrap() / 1.7e-6 - 1.0).abs() < 0.03, "{valve}");
     let smallest_lpm = told["smallest_leak_lpm"].as_f64().unwrap();
     assert!((0.02..1.5).contains(&smallest_lpm), "{smallest_lpm}");
-    for name in ["seepd.toml", "plant.toml", "training.toml", "model.json", "baseline.json", "machine.toml", "adopt.html"] {
+    for name in [
+        "seepd.toml",
+        "plant.toml",
+        "training.toml",
+        "model.json",
+        "baseline.json",
+        "machine.toml",
+        "adopt.html",
+    ] {
         assert!(out.join(name).exists(), "{name}");
     }
     let config = out.join("seepd.toml");
-    stdout(&seepd(["check", text_of(&config), text_of(&out.join("plant.toml")), text_of(&out.join("model.json"))]));
+    stdout(&seepd([
+        "check",
+        text_of(&config),
+        text_of(&out.join("plant.toml")),
+        text_of(&out.join("model.json")),
+    ]));
     let page = fs::read_to_string(out.join("adopt.html")).unwrap();
     assert!(page.contains("Adopted: press-3") && page.contains("extend") && !page.contains("http"));
 
@@ -121,8 +135,6 @@ fn data_that_cannot_be_of_this_machine_are_refused_in_a_sentence() {
     };
     let rod = refused("[cylinder]\nbore_mm = 56\nrod_mm = 100\n", 78);
     assert!(rod.contains("are cylinder.rod_mm and cylinder.bore_mm exchanged?"), "{rod}");
-    let stroke = refused("[cylinder]\nstroke_mm = 200\n", 78);
-    assert!(stroke.contains("is it another axis"), "{stroke}");
     let valve = refused("[cylinder]\nbore_mm = 100\n[valve]\nrated_flow_lpm = 4\nrated_at_bar = 70\n", 78);
     assert!(valve.contains("check valve.rated_flow_lpm"), "{valve}");
     let key = refused("[cylinder]\nbore = 100\n", 78);

@@ -253,6 +253,7 @@ pub fn planned(
             to_s: *to as f64 * tick_s,
             to_m: levels[index],
             course: course(demand, (*from, *to), (before, levels[index])),
+            wait_s: found.wait_s(index),
         }
     });
     DutyCycle { period_s: ticks as f64 * tick_s, moves: strokes.collect(), load }

@@ -17,6 +17,13 @@ pub struct Move {
     /// Share of the way at equal steps of time, from 0 to 1, linear between them; empty: the quintic.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub course: Vec<f64>,
+    /// How much longer than planned the machine may stand after the move, where an event ends the hold, s.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub wait_s: f64,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 impl Move {
@@ -74,6 +81,7 @@ impl Default for DutyCycle {
             to_s,
             to_m,
             course: Vec::new(),
+            wait_s: 0.0,
         };
         let corner = |at_s, force_n| LoadCorner { at_s, force_n };
         DutyCycle {

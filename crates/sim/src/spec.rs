@@ -299,6 +299,7 @@ impl MachineSpec {
             )?;
             in_range(format!("cycle.moves[{index}].to_m"), stroke.to_m, 0.0, self.plant.stroke_m)?;
             check_course(index, &stroke.course)?;
+            in_range(format!("cycle.moves[{index}].wait_s"), stroke.wait_s, 0.0, cycle.period_s)?;
             time = stroke.to_s;
         }
         let mut time = 0.0;

@@ -18,11 +18,15 @@ const SHORTEST_SHARE: f64 = 0.02;
 /// How far the distance between the strokes may be off plan, share of the period.
 const TOLERANCE: f64 = 0.06;
 
+/// The largest tolerance that a model may have.
+const LARGEST_TOLERANCE: f64 = 0.45;
+
 /// The cycle without its templates, which only simulation can tell.
 pub(crate) fn cycle_of(spec: &MachineSpec) -> Result<Cycle, TrainError> {
     let cycle = &spec.cycle;
     let samples = cycle.period_s / spec.controller.log_period_s();
     let [first, last] = anchoring_moves(spec)?;
+    let waits_s: f64 = cycle.moves[first..last].iter().map(|stroke| stroke.wait_s).sum();
     let anchor = |index: usize| Anchor {
         end_s: cycle.moves[index].to_s + SHOULDER_SHARE * cycle.period_s,
         least_correlation: 0.0,
@@ -33,10 +37,10 @@ pub(crate) fn cycle_of(spec: &MachineSpec) -> Result<Cycle, TrainError> {
     Ok(Cycle {
         period_s: cycle.period_s,
         bin_samples: (samples / BINS).round().max(1.0) as usize,
-        tolerance: TOLERANCE,
+        tolerance: (TOLERANCE + waits_s / cycle.period_s).min(LARGEST_TOLERANCE),
         anchors: [anchor(first), anchor(last)],
         demand_mark: Some(demand_mark(spec, &cycle.moves[first])),
-        phases: phases_of(spec),
+        phases: phases_of(spec, [first, last]),
     })
 }
 
@@ -81,12 +85,13 @@ fn demand_mark(spec: &MachineSpec, first: &Move) -> DemandMark {
     }
 }
 
-/// Strokes by their names, holds between them by number; a load step within a hold divides it.
-fn phases_of(spec: &MachineSpec) -> Vec<PhaseFile> {
+/// Strokes by their names, holds between them by number; a load step within a hold divides it. Where events end holds between a phase and the
+/// stroke by which it is timed, a hold keeps the part that it has in every cycle, and a stroke whose place is not sure is no phase.
+fn phases_of(spec: &MachineSpec, anchors: [usize; 2]) -> Vec<PhaseFile> {
     let cycle = &spec.cycle;
     let mut phases: Vec<PhaseFile> = Vec::new();
     let mut holds = 0;
-    let mut hold = |from_s: f64, to_s: f64, phases: &mut Vec<PhaseFile>| {
+    let mut hold = |(from_s, to_s): (f64, f64), phases: &mut Vec<PhaseFile>| {
         let mut edges: Vec<f64> = vec![from_s];
         edges.extend(cycle.load.iter().map(|corner| corner.at_s).filter(|at| *at > from_s && *at < to_s));
         edges.push(to_s);
@@ -100,20 +105,59 @@ fn phases_of(spec: &MachineSpec) -> Vec<PhaseFile> {
             });
         }
     };
+    let shifts = Shifts { moves: &cycle.moves, anchors };
     let mut time = 0.0;
-    for stroke in &cycle.moves {
-        hold(time, stroke.from_s, &mut phases);
-        phases.push(PhaseFile {
-            name: stroke.name.clone(),
-            from_s: stroke.from_s,
-            to_s: stroke.to_s,
-            kind: PhaseKind::Stroke,
-        });
+    for (index, stroke) in cycle.moves.iter().enumerate() {
+        hold(shifts.hold(index, (time, stroke.from_s)), &mut phases);
+        if shifts.of_stroke(index) <= SURE_SHARE * cycle.period_s {
+            phases.push(PhaseFile {
+                name: stroke.name.clone(),
+                from_s: stroke.from_s,
+                to_s: stroke.to_s,
+                kind: PhaseKind::Stroke,
+            });
+        }
         time = stroke.to_s;
     }
-    hold(time, cycle.period_s, &mut phases);
+    hold(shifts.hold(cycle.moves.len(), (time, cycle.period_s)), &mut phases);
     keep_the_longest(&mut phases);
     phases
+}
+
+/// A stroke that events may shift by more than this share of the period is no phase.
+const SURE_SHARE: f64 = 0.01;
+
+/// How far events may shift what is timed by an anchoring stroke.
+struct Shifts<'a> {
+    moves: &'a [Move],
+    anchors: [usize; 2],
+}
+
+impl Shifts<'_> {
+    /// The anchor by which a part of the cycle is timed: the one whose end is nearer.
+    fn anchor(&self, from_s: f64, to_s: f64) -> usize {
+        let [first, last] = self.anchors;
+        let far = |index: usize| (0.5 * (from_s + to_s) - self.moves[index].to_s).abs();
+        if far(first) <= far(last) { first } else { last }
+    }
+
+    /// Waits after the moves of a range, s.
+    fn waits(&self, from: usize, to: usize) -> f64 {
+        self.moves.get(from..to).unwrap_or_default().iter().map(|stroke| stroke.wait_s).sum()
+    }
+
+    fn of_stroke(&self, index: usize) -> f64 {
+        let stroke = &self.moves[index];
+        let anchor = self.anchor(stroke.from_s, stroke.to_s);
+        self.waits(anchor, index) + self.waits(index, anchor)
+    }
+
+    /// The part of the hold before a move that every cycle has: later holds begin later, earlier ones end earlier.
+    fn hold(&self, before: usize, (from_s, to_s): (f64, f64)) -> (f64, f64) {
+        let anchor = self.anchor(from_s, to_s);
+        let begins_s = from_s + self.waits(anchor, before.saturating_sub(1));
+        (begins_s, (to_s - self.waits(before, anchor)).max(begins_s))
+    }
 }
 
 /// Leaves out the shortest phases where a cycle has more than a reader has room for.

@@ -73,6 +73,14 @@ pub(super) fn find(trace: &Trace<'_>, hints: &Hints) -> LengthScale {
             0.8,
             format!("It has no unit, and moves by {}: taken as mm.", number(range)),
         ),
+        ([], Some(stroke_m)) => {
+            let stroke_mm = number(stroke_m * 1e3);
+            let why = format!(
+                "it moves by {}, which in no unit fits a stroke of {stroke_mm} mm: is it another axis, or cylinder.stroke_mm wrong?",
+                number(range)
+            );
+            LengthScale::Open(plausible, why)
+        }
         _ => LengthScale::Open(plausible, format!("it has no unit, and moves by {}", number(range))),
     }
 }

@@ -77,7 +77,7 @@ impl AdoptPage<'_> {
             }
             p {
                 @if let Some(error) = capability.size_error { "Leaks above 1 L/min are sized within " (format!("{:.1}", 100.0 * error)) " % (median over simulated machines). " }
-                "False alarms a year, by design of the sums: " (format!("{:.1e}", capability.false_alarms_per_year)) "."
+                "False alarms by the sums' design: " (capability.false_alarms()) "."
             }
             @for advice in &capability.advice { p { (advice) } }
         }

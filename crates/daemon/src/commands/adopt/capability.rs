@@ -74,6 +74,15 @@ impl Capability {
         capability
     }
 
+    /// False alarms a year in words.
+    pub(crate) fn false_alarms(&self) -> String {
+        if self.false_alarms_per_year < 1e-3 {
+            "fewer than one in a thousand years".into()
+        } else {
+            format!("{:.3} a year", self.false_alarms_per_year)
+        }
+    }
+
     fn advise(&mut self) {
         let within_100 = self.smallest_lpm.iter().find(|(cycles, ..)| *cycles == 100).copied();
         let Some((_, alone, with_load)) = within_100 else { return };

@@ -140,7 +140,7 @@ pub(super) fn result(folder: &Folder, capability: &Capability) -> String {
     if let Some(error) = capability.size_error {
         let _ = writeln!(text, "median error of a larger leak's size: {:.1} %", 100.0 * error);
     }
-    let _ = writeln!(text, "false alarms a year, by design: {:.1e}", capability.false_alarms_per_year);
+    let _ = writeln!(text, "false alarms, by design: {}", capability.false_alarms());
     for advice in &capability.advice {
         let _ = writeln!(text, "{advice}");
     }
