@@ -3,13 +3,11 @@
 use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use seepd_adopt::adoption::Adoption;
 use seepd_adopt::machine_data::MachineData;
 use seepd_adopt::training::TrainingBasis;
 use seepd_logs::survey::toml_text;
-use seepd_model::Model;
 use seepd_monitor::alarm::AlarmConfig;
 use seepd_settings::side_file;
 use seepd_sim::{MachineSpec, PlantParameters};
@@ -28,15 +26,15 @@ pub(super) const MACHINE_FORM: &str = include_str!("../../../../../docs/machine.
 /// The folder of an adopted machine.
 pub(super) struct Folder {
     path: PathBuf,
-    overwrite: bool,
 }
 
 impl Folder {
-    /// The folder, made where it is not there. Without leave to write over, it must not have a result already.
-    pub(super) fn open(path: &Path, overwrite: bool) -> Result<Self, Failure> {
+    /// The folder, made where it is not there. One that has a result already is opened only to go on with it, or by force. What a run left
+    /// that was broken off is written again.
+    pub(super) fn open(path: &Path, may_replace: bool) -> Result<Self, Failure> {
         fs::create_dir_all(path).map_err(|error| Failure::writing(path, error))?;
-        let folder = Folder { path: path.to_owned(), overwrite };
-        if !overwrite && folder.path("model.json").exists() {
+        let folder = Folder { path: path.to_owned() };
+        if !may_replace && folder.path("model.json").exists() {
             return Err(Failure::new(
                 Code::Usage,
                 format!(
@@ -45,8 +43,7 @@ impl Folder {
                 ),
             ));
         }
-        // A run that was broken off leaves its finished steps, which the next one may write again.
-        Ok(Folder { overwrite: true, ..folder })
+        Ok(folder)
     }
 
     pub(super) fn path(&self, name: &str) -> PathBuf {
@@ -70,8 +67,7 @@ impl Folder {
 
     /// Writes a file, whole or not at all.
     pub(super) fn write(&self, name: &str, content: impl AsRef<[u8]>) -> Result<(), Failure> {
-        let force = OverwriteArguments { force: self.overwrite };
-        Outputs::new(force, []).claim(&self.path(name))?.write(content)
+        Outputs::new(OverwriteArguments { force: true }, []).claim(&self.path(name))?.write(content)
     }
 
     pub(super) fn copy(&self, from: &Path, name: &str) -> Result<(), Failure> {
@@ -81,18 +77,19 @@ impl Folder {
 
     /// The configuration as far as the first step knows it.
     pub(super) fn write_mapping(&self, config: &AxisConfig) -> Result<(), Failure> {
-        self.write("seepd.toml", config_toml(config, false)?)
+        self.write_checked(&config_toml(config, false))
     }
 
     /// The whole configuration; paths in the file are relative to the folder.
-    pub(super) fn write_config(
-        &self,
-        config: &mut AxisConfig,
-        model: &Arc<Model>,
-        has_baseline: bool,
-    ) -> Result<(), Failure> {
-        let _ = model;
-        self.write("seepd.toml", config_toml(config, has_baseline)?)
+    pub(super) fn write_config(&self, config: &AxisConfig) -> Result<(), Failure> {
+        self.write_checked(&config_toml(config, true))
+    }
+
+    /// A name or a column that the program would not read again is told now.
+    fn write_checked(&self, text: &str) -> Result<(), Failure> {
+        let path = self.path("seepd.toml");
+        DaemonConfig::parse(text).map_err(|error| Failure::configuration(&path, error))?;
+        self.write("seepd.toml", text)
     }
 
     /// The mapping of an earlier run. Model and baseline are what this run makes.
@@ -121,15 +118,15 @@ impl Folder {
         seepd_settings::parse_toml(&text).map_err(|error| Failure::configuration(&path, error))
     }
 
-    /// Copies what the service needs to where it looks.
-    pub(super) fn install(&self) -> Result<(), Failure> {
+    /// Copies what the service needs to where it looks; all or, where something is there that may not be written over, nothing.
+    pub(super) fn install(&self, overwrite: OverwriteArguments) -> Result<(), Failure> {
         let target = Path::new(INSTALLED);
         fs::create_dir_all(target).map_err(|error| Failure::writing(target, error))?;
-        for name in SERVED {
-            let content = side_file::read(&self.path(name))
-                .map_err(|error| Failure::reading(&self.path(name), &error))?;
-            let place = target.join(name);
-            Outputs::new(OverwriteArguments { force: self.overwrite }, []).claim(&place)?.write(content)?;
+        let mut outputs = Outputs::new(overwrite, []);
+        let claimed = SERVED.map(|name| Ok((self.path(name), outputs.claim(&target.join(name))?)));
+        for place in claimed.into_iter().collect::<Result<Vec<_>, Failure>>()? {
+            let (from, to) = place;
+            to.write(side_file::read(&from).map_err(|error| Failure::reading(&from, &error))?)?;
         }
         Ok(())
     }
@@ -153,7 +150,7 @@ pub(super) fn machine_toml(data: &MachineData) -> Result<String, Failure> {
 }
 
 /// `seepd.toml` of an adopted machine.
-fn config_toml(config: &AxisConfig, is_whole: bool) -> Result<String, Failure> {
+fn config_toml(config: &AxisConfig, is_whole: bool) -> String {
     let mut text = String::from(
         "# Written by `seepd adopt`; edit it and go on with `seepd adopt --from cycle`, or use it as it is.\n",
     );
@@ -200,7 +197,7 @@ fn config_toml(config: &AxisConfig, is_whole: bool) -> Result<String, Failure> {
             line(format_args!("time = {}", toml_text(&mapping.time)));
         }
     }
-    Ok(text)
+    text
 }
 
 /// The plant file, with where each value of the plant comes from.

@@ -76,7 +76,7 @@ pub struct AdoptArguments {
     /// Train with a sixth of the machines, for a first look: intervals are wider
     #[arg(long)]
     quick: bool,
-    /// Copy the result to /etc/seepd afterwards
+    /// Copy configuration, plant, model and baseline to /etc/seepd afterwards; over files that are there only with --force
     #[arg(long)]
     install: bool,
     #[command(flatten)]
@@ -117,11 +117,10 @@ pub fn run(arguments: &AdoptArguments) -> Result<Outcome, Failure> {
         None
     };
     let (model, trained) = model(arguments, &folder, described.as_ref())?;
-    folder.write_config(&mut config, &model, true)?;
     let baseline = baseline(arguments, &folder, &config, &model)?;
     let capability = Capability::of(&model, &baseline, trained.as_ref());
     config.alarm = capability.alarm(&model);
-    folder.write_config(&mut config, &model, true)?;
+    folder.write_config(&config)?;
     let page = AdoptPage {
         axis: &config.axis,
         described: described.as_ref(),
@@ -139,7 +138,7 @@ pub fn run(arguments: &AdoptArguments) -> Result<Outcome, Failure> {
     };
     print(text.as_bytes())?;
     if arguments.install {
-        folder.install()?;
+        folder.install(arguments.overwrite)?;
     }
     Ok(Outcome::Good)
 }
