@@ -90,6 +90,16 @@ pub enum AdoptionError {
         /// Correlation of command and speed.
         correlation: f64,
     },
+    /// Even the calibrated machine is not like the log.
+    #[error(
+        "even calibrated, the simulated command differs from the log's by {percent:.0} % of its range: this is no hydraulic axis as the plant \
+         file has it, or the command, its scale or the machine data are another's; `seepd gap` says where they part, and \
+         `[monitor] kind = \"relative\"` watches without a model"
+    )]
+    Unlike {
+        /// RMS difference over the command's range, %.
+        percent: f64,
+    },
     /// The plant that came out is none.
     #[error("no plant could be made of these data: {0}")]
     Plant(#[from] SpecError),
@@ -97,6 +107,9 @@ pub enum AdoptionError {
     #[error("the log cannot be laid beside a simulation: {0}")]
     Record(#[from] RecordError),
 }
+
+/// A command that differs by more than this share of its range is another machine's.
+const UNLIKE: f64 = 0.15;
 
 /// Least correlation of command and speed.
 const TOGETHER: f64 = 0.5;
@@ -185,6 +198,13 @@ impl Adopter<'_> {
         let calibration = if position.is_some() { Some(self.calibrated(&spec, offset_m)?) } else { None };
         if let Some(calibration) = calibration.as_ref().filter(|calibration| self.is_better(calibration)) {
             spec = learned(calibration, &mut values);
+        }
+        let of_command = |calibration: &Calibration<MachineSpec>| {
+            calibration.gaps[1].get(Signal::Command.name()).copied().unwrap_or(f64::NAN)
+        };
+        let rest = calibration.as_ref().map(of_command).or(asked.rest).unwrap_or(0.0);
+        if rest.is_nan() || rest > UNLIKE {
+            return Err(AdoptionError::Unlike { percent: 100.0 * rest });
         }
         spec.bounds.clear();
         Ok(Adoption {

@@ -37,9 +37,7 @@ pub enum DutyCycleError {
     #[error("the log has no command that moves")]
     NoCommand,
     /// Hardly any stroke.
-    #[error(
-        "the {guide} shows {strokes} strokes, too few for cycles that repeat; is the machine at work in this log?"
-    )]
+    #[error("the {guide} shows {strokes} strokes, too few for cycles that repeat")]
     TooFewStrokes {
         /// Signal that was looked at.
         guide: &'static str,
