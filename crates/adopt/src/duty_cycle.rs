@@ -23,7 +23,7 @@ const REPEATED: f64 = 0.7;
 /// A row is preferred to a shorter one where it repeats so much better.
 const BETTER: f64 = 0.15;
 /// A hold whose duration varies by more than this share of the period is driven by events.
-const VARYING: f64 = 0.03;
+const VARYING: f64 = 0.01;
 /// The cycle begins this share of its last hold before its first stroke.
 const REST_BEFORE: f64 = 0.3;
 /// At most this share of the period.
