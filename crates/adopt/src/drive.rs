@@ -16,7 +16,7 @@ use crate::strokes::{mean, range};
 /// Points of a stroke's course at most.
 const COURSE_POINTS: usize = 100;
 /// The command is near its hold again where it is this share of the stroke's largest from it.
-const NEAR: f64 = 0.1;
+const NEAR: f64 = 0.02;
 /// Corners of the load at most, and the share of its range that they may be off.
 const LOAD_CORNERS: usize = 12;
 const LOAD_TOLERANCE: f64 = 0.04;
