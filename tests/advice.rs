@@ -8,26 +8,7 @@ use std::fs;
 use std::path::Path;
 
 use serde_json::Value;
-use support::{replay, seepd, simulate, stderr, stdout, summary};
-
-/// The nominal cycle in seven seconds, on a press of another bore.
-const OTHER_PRESS: &str = "
-[plant]
-cap_area_m2 = 0.00503
-annulus_area_m2 = 0.00345
-[cycle]
-period_s = 7.02
-[[cycle.moves]]
-name = \"extend\"
-from_s = 0.4
-to_s = 1.9
-to_m = 0.3
-[[cycle.moves]]
-name = \"retract\"
-from_s = 4.0
-to_s = 5.6
-to_m = 0.1
-";
+use support::{OTHER_PRESS, replay, seepd, simulate, stderr, stdout, summary};
 
 /// The last line on the terminal, and the summary of the JSON lines.
 fn told(log: &Path, more: &[&str]) -> (String, Value) {

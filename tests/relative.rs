@@ -14,26 +14,7 @@ use std::sync::LazyLock;
 
 use daemon::Daemon;
 use serde_json::Value;
-use support::{replay, seepd, simulate, stderr, stdout, summary};
-
-/// Another bore, another cycle: nothing that the embedded model knows.
-const PLANT: &str = "
-[plant]
-cap_area_m2 = 0.00503
-annulus_area_m2 = 0.00345
-[cycle]
-period_s = 7.02
-[[cycle.moves]]
-name = \"extend\"
-from_s = 0.4
-to_s = 1.9
-to_m = 0.3
-[[cycle.moves]]
-name = \"retract\"
-from_s = 4.0
-to_s = 5.6
-to_m = 0.1
-";
+use support::{OTHER_PRESS, replay, seepd, simulate, stderr, stdout, summary};
 
 /// A folder with the logs of a healthy machine, of the same one later, and of the same one with a leak that began at its 20th cycle.
 struct Shop {
@@ -52,7 +33,7 @@ impl Shop {
 
 static SHOP: LazyLock<Shop> = LazyLock::new(|| {
     let shop = Shop { folder: tempfile::tempdir().unwrap() };
-    fs::write(shop.path("plant.toml"), PLANT).unwrap();
+    fs::write(shop.path("plant.toml"), OTHER_PRESS).unwrap();
     fs::write(shop.path("seepd.toml"), "axis = \"press\"\n[monitor]\nkind = \"relative\"\n").unwrap();
     let simulated = |name: &str, cycles: &str, more: &[&str]| {
         let plant = shop.text("plant.toml");

@@ -6,6 +6,25 @@ use std::process::{Command, Output};
 
 use serde_json::Value;
 
+/// A press of another bore with a cycle of 7.02 s: nothing that the embedded model knows.
+pub(crate) const OTHER_PRESS: &str = "
+[plant]
+cap_area_m2 = 0.00503
+annulus_area_m2 = 0.00345
+[cycle]
+period_s = 7.02
+[[cycle.moves]]
+name = \"extend\"
+from_s = 0.4
+to_s = 1.9
+to_m = 0.3
+[[cycle.moves]]
+name = \"retract\"
+from_s = 4.0
+to_s = 5.6
+to_m = 0.1
+";
+
 /// A fixture's path.
 pub(crate) fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures").join(name)

@@ -8,14 +8,13 @@ use seepd_sim::{MachineSpec, SpecError};
 
 use crate::controller::{FittedGains, fit_gains};
 use crate::drive::{
-    Asked, asked_by_command, asked_by_position, load_by_tick, load_corners, planned, plant_speed,
-    speed_over_command,
+    Asked, asked_by_command, asked_by_position, load_by_tick, load_corners, planned, speed_over_command,
 };
 use crate::duty_cycle::FoundCycle;
 use crate::machine_data::MachineData;
 use crate::plant::{DataError, DescribedPlant, LoggedSize, Origin, PlantValue, describe};
 use crate::recording::Recording;
-use crate::strokes::{noise_of, quantile, range};
+use crate::strokes::{noise_of, quantile, range, slope};
 
 /// Cycles that the calibration is made from.
 const CALIBRATED_ON: usize = 24;
@@ -146,9 +145,7 @@ pub fn adopt(
 
 /// Checks that the piston moves as the valve is opened.
 fn together(command: &[f64], position: &[f64]) -> Result<(), AdoptionError> {
-    let ticks = command.len();
-    let speed: Vec<f64> =
-        (0..ticks).map(|tick| position[(tick + 1) % ticks] - position[(tick + ticks - 1) % ticks]).collect();
+    let speed: Vec<f64> = (0..position.len()).map(|tick| slope(position, tick)).collect();
     let (mut uv, mut uu, mut vv) = (0.0, 0.0, 0.0);
     for (u, v) in command.iter().zip(&speed) {
         uv += u * v;
@@ -428,10 +425,5 @@ impl Adoption {
             .iter()
             .map(|(key, value)| ((*key).to_owned(), value.tolerance.min(LARGEST_TOLERANCE)))
             .collect()
-    }
-
-    /// Speed at full command, m/s.
-    pub fn speed_m_per_s(&self) -> f64 {
-        plant_speed(&self.spec)
     }
 }

@@ -2,6 +2,8 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::strokes::slope;
+
 /// Gains that were found.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FittedGains {
@@ -30,10 +32,7 @@ const DONE: f64 = 1e-6;
 /// error explains nothing or a gain comes out with the wrong sign.
 pub fn fit_gains(command: &[f64], demand: &[f64], position: &[f64], tick_s: f64) -> Option<FittedGains> {
     let ticks = command.len().min(demand.len()).min(position.len());
-    let slope = |values: &[f64], tick: usize| {
-        let (next, before) = ((tick + 1) % ticks, (tick + ticks - 1) % ticks);
-        (values[next] - values[before]) / (2.0 * tick_s)
-    };
+    let speed = |values: &[f64], tick: usize| slope(&values[..ticks], tick) / tick_s;
     let errors: Vec<f64> = (0..ticks).map(|tick| demand[tick] - position[tick]).collect();
     let mut integral = 0.0;
     // The integrator stands while the command saturates.
@@ -48,8 +47,8 @@ pub fn fit_gains(command: &[f64], demand: &[f64], position: &[f64], tick_s: f64)
     let terms: [Vec<f64>; 5] = [
         errors,
         integrals,
-        (0..ticks).map(|tick| slope(demand, tick)).collect(),
-        (0..ticks).map(|tick| -slope(position, tick)).collect(),
+        (0..ticks).map(|tick| speed(demand, tick)).collect(),
+        (0..ticks).map(|tick| -speed(position, tick)).collect(),
         command.iter().take(ticks).map(|u| (u / 0.003).clamp(-1.0, 1.0)).collect(),
     ];
     let used: Vec<usize> = (0..ticks).filter(|tick| command[*tick].abs() < SATURATED).collect();

@@ -5,13 +5,13 @@
 //! iterative learning (Arimoto, Kawamura, Miyazaki, Journal of Robotic Systems 1 (1984)), each pass correcting the demand by the way that the
 //! rest of the command would make.
 
+use seepd_gap::SimulatedAxis;
 use seepd_sim::batch::follow;
 use seepd_sim::cycle::{DriveSample, LoadCorner, Move};
 use seepd_sim::{DutyCycle, MachineSpec};
 
 use crate::duty_cycle::FoundCycle;
-use crate::plant::speed_of;
-use crate::strokes::{mean, range};
+use crate::strokes::{mean, range, slope};
 
 /// Points of a stroke's course at most.
 const COURSE_POINTS: usize = 100;
@@ -42,7 +42,6 @@ pub struct Asked {
 
 /// The demand that the controller must have had, from the mean command and position of a cycle.
 pub fn asked_by_position(spec: &MachineSpec, command: &[f64], position: &[f64]) -> Asked {
-    use seepd_gap::SimulatedAxis;
     let twice = |values: &[f64]| [values, values].concat();
     // The first cycle settles the integrator.
     let asked = spec.asked_m(&twice(command), &twice(position));
@@ -310,10 +309,7 @@ pub fn load_corners(load_n: Option<&[f64]>, weight_n: f64, largest_n: f64, tick_
                 (tick, (load[tick] - line).abs())
             })
             .max_by(|a, b| a.1.total_cmp(&b.1));
-        let Some((tick, off)) = furthest.filter(|(_, off)| *off > LOAD_TOLERANCE * range(load)) else {
-            break;
-        };
-        let _ = off;
+        let Some((tick, _)) = furthest.filter(|(_, off)| *off > LOAD_TOLERANCE * range(load)) else { break };
         kept.push(tick);
         kept.sort_unstable();
     }
@@ -331,20 +327,11 @@ pub fn speed_over_command(command: &[f64], position: &[f64], tick_s: f64) -> Opt
     let ticks = command.len().min(position.len());
     let largest = command.iter().map(|u| u.abs()).fold(0.0, f64::max);
     let pairs: Vec<(f64, f64)> = (0..ticks)
-        .map(|tick| {
-            let (next, before) = ((tick + 1) % ticks, (tick + ticks - 1) % ticks);
-            (command[tick], (position[next] - position[before]) / (2.0 * tick_s))
-        })
+        .map(|tick| (command[tick], slope(&position[..ticks], tick) / tick_s))
         .filter(|(u, _)| u.abs() > 0.3 * largest)
         .collect();
     let (uv, uu) = pairs.iter().fold((0.0, 0.0), |(uv, uu), (u, v)| (uv + u * v, uu + u * u));
     (uu > 0.0).then(|| uv / uu).filter(|speed| *speed > 0.0)
-}
-
-/// Speed of a plant at full command, m/s.
-pub fn plant_speed(spec: &MachineSpec) -> f64 {
-    let p = &spec.plant;
-    speed_of(p.cap_area_m2, p.annulus_area_m2, p.relief_pressure_pa, p.valve_m3_per_s_sqrt_pa)
 }
 
 fn bounds(values: &[f64]) -> (f64, f64) {

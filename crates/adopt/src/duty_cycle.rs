@@ -272,7 +272,7 @@ impl Row {
         let is_like = |a: usize, b: usize| (0..length).all(|i| alike(&strokes[a + i], &strokes[b + i]));
         let reference = (0..windows.min(4 * length))
             .chain((0..windows).step_by((windows / 50).max(1)))
-            .max_by_key(|a| (0..windows).step_by(1).filter(|b| is_like(*a, *b)).count())
+            .max_by_key(|a| (0..windows).filter(|b| is_like(*a, *b)).count())
             .unwrap_or(0);
         let row = Row { length, starts: repetitions(windows, length, |start| is_like(reference, start)) };
         if row.starts.len() < LEAST_CYCLES {

@@ -268,6 +268,12 @@ pub(crate) fn mean(values: &[f64]) -> f64 {
     sum / count as f64
 }
 
+/// Change of a cycle's values from tick to tick around one of them: the cycle begins again after its end.
+pub(crate) fn slope(cycle: &[f64], tick: usize) -> f64 {
+    let ticks = cycle.len();
+    0.5 * (cycle[(tick + 1) % ticks] - cycle[(tick + ticks - 1) % ticks])
+}
+
 pub(crate) fn range(values: &[f64]) -> f64 {
     let finite = || values.iter().copied().filter(|value| value.is_finite());
     finite().fold(f64::NEG_INFINITY, f64::max) - finite().fold(f64::INFINITY, f64::min)

@@ -32,7 +32,8 @@ pub struct Controller {
     pub steps_per_period: usize,
 }
 
-fn is_zero(value: &f64) -> bool {
+/// What a file leaves out.
+pub(crate) fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 

@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::controller::is_zero;
+
 /// A move of the demand to a new position: quintic, or of a course of its own.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -20,10 +22,6 @@ pub struct Move {
     /// How much longer than planned the machine may stand after the move, where an event ends the hold, s.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub wait_s: f64,
-}
-
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
 }
 
 impl Move {

@@ -27,6 +27,11 @@ impl LeakRange {
         LeakRange { scale: libm::exp2(octaves) }
     }
 
+    /// Size of the machine's valve over that of the nominal press, a power of two.
+    pub fn scale(self) -> f64 {
+        self.scale
+    }
+
     /// Smallest and largest leak of the main range, m².
     pub fn main_m2(self) -> (f64, f64) {
         (self.scale * MAIN_M2.0, self.scale * MAIN_M2.1)

@@ -319,15 +319,25 @@ fn tell_scores(arguments: &ScoreArguments) -> Result<Outcome, Failure> {
             arguments.answers.display()
         )));
     }
+    tell_or_write(arguments.json.is_some(), file.as_ref(), &scores, || table(&scores, arguments.wrong))
+}
+
+/// Scores as JSON into a file with their tables on standard output, or, where JSON is asked for without a file, alone there.
+pub(super) fn tell_or_write(
+    as_json: bool,
+    file: Option<&Output>,
+    scores: &impl Serialize,
+    tables: impl FnOnce() -> String,
+) -> Result<Outcome, Failure> {
     match file {
-        Some(file) => write_json(&file, &scores)?,
-        None if arguments.json.is_some() => {
-            print((json(&scores)? + "\n").as_bytes())?;
+        Some(file) => write_json(file, scores)?,
+        None if as_json => {
+            print((json(scores)? + "\n").as_bytes())?;
             return Ok(Outcome::Good);
         }
         None => {}
     }
-    print(table(&scores, arguments.wrong).as_bytes())?;
+    print(tables().as_bytes())?;
     Ok(Outcome::Good)
 }
 

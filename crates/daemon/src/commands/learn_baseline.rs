@@ -1,26 +1,24 @@
 //! `seepd learn-baseline`: the healthy machine as it is when it is commissioned.
 
-use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::Args;
-use seepd_logs::record;
 use seepd_model::Model;
 use seepd_monitor::baseline::{Baseline, BaselineFile, MOST_CYCLES};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 use seepd_monitor::reason::LEARNING_BASELINE;
 use seepd_monitor::relative::{RelativeBaseline, RelativeError};
 
-use super::reading::{ReadingArguments, check_cycles};
+use super::reading::{ReadingArguments, check_cycles, each_sample};
 use crate::advice::advice;
 use crate::baseline_file;
 use crate::cli::Outcome;
 use crate::config::AxisConfig;
 use crate::failure::{Code, Failure};
 use crate::output::{Output, Outputs, OverwriteArguments};
-use crate::progress::{byte_bar, counting, warn};
+use crate::progress::warn;
 use crate::quantity::{mm2, mm2_interval};
 use crate::sink::terminal::{listed, print};
 
@@ -205,15 +203,10 @@ fn read_logs(
     config: &AxisConfig,
     pipeline: &mut Pipeline,
 ) -> Result<(), Failure> {
-    let sizes = arguments.logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum();
-    let bar = byte_bar(sizes, "learning");
-    let notes = record::each_sample(&arguments.logs, &config.log_mapping(), counting(&bar), |sample| {
+    each_sample(&arguments.logs, &config.log_mapping(), "learning", |sample| {
         pipeline.push(sample, &mut |_| ());
-        Ok::<(), Failure>(())
     })?;
     pipeline.finish(&mut |_| ());
-    bar.finish_and_clear();
-    notes.iter().for_each(|note| warn(note));
     Ok(())
 }
 

@@ -1,16 +1,19 @@
 //! Where a command that reads logs finds the signals, the model and the baseline.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use seepd_logs::Selection;
+use seepd_logs::{LogMapping, Selection, record};
 use seepd_monitor::baseline::{Baseline, LEAST_CYCLES, MOST_CYCLES};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 use seepd_monitor::relative::RelativeMonitor;
+use seepd_signals::Sample;
 
 use crate::baseline_file;
 use crate::config::{AxisConfig, DaemonConfig};
 use crate::failure::{Code, Failure};
+use crate::progress::{byte_bar, counting, warn};
 
 /// The arguments that say where the signals are.
 #[derive(Debug, Args)]
@@ -177,4 +180,25 @@ pub fn check_cycles(option: &str, cycles: usize) -> Result<(), Failure> {
         "{option} is {cycles}; a baseline takes {LEAST_CYCLES} … {MOST_CYCLES} cycles, and 50 are a good number"
     );
     Err(Failure::new(Code::Usage, text))
+}
+
+/// Hands every sample of the logs, read as one record, to `take`, with a progress bar and the notes of each log.
+///
+/// # Errors
+/// [`Failure`] where a log cannot be read.
+pub(super) fn each_sample(
+    logs: &[PathBuf],
+    mapping: &LogMapping,
+    what: &'static str,
+    mut take: impl FnMut(&Sample),
+) -> Result<(), Failure> {
+    let sizes = logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum();
+    let bar = byte_bar(sizes, what);
+    let notes = record::each_sample(logs, mapping, counting(&bar), |sample| {
+        take(sample);
+        Ok::<(), Failure>(())
+    })?;
+    bar.finish_and_clear();
+    notes.iter().for_each(|note| warn(note));
+    Ok(())
 }

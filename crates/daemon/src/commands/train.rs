@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::path::PathBuf;
 
 use clap::Args;
+use seepd_sim::MachineSpec;
 use seepd_sim::series::Tolerances;
 use seepd_train::relative::{RelativeAccuracy, RelativeReport};
 use seepd_train::report::{Accuracy, NoiseLine, Report};
@@ -117,15 +118,7 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
         tested_on: if arguments.full { FULL_TEST } else { arguments.held_out / 2 },
         ..TrainingSettings::default()
     };
-    let mut progress: Option<((Stage, usize), Steps)> = None;
-    let trained = seepd_train::train(&spec, &settings, &mut |now, done, all| {
-        // The last stage's bar goes before the next one's comes.
-        progress = progress.take().filter(|(stage, _)| *stage == (now, all));
-        let (_, steps) = progress.get_or_insert_with(|| ((now, all), Steps::begin(all as u64, name_of(now))));
-        steps.set(done as u64);
-    })
-    .map_err(|error| failure(&error))?;
-    drop(progress);
+    let trained = with_progress(&spec, &settings).map_err(|error| failure(&error))?;
     out.write(&trained.json)?;
     if let Some(data) = data {
         write_data(&data, &trained)?;
@@ -185,7 +178,18 @@ fn write_rows(out: &mut impl Write, trained: &Trained) -> Result<(), csv::Error>
     writer.flush().map_err(csv::Error::from)
 }
 
-pub(super) fn name_of(stage: Stage) -> &'static str {
+/// Trains, and shows how far it is.
+pub(super) fn with_progress(spec: &MachineSpec, settings: &TrainingSettings) -> Result<Trained, TrainError> {
+    let mut progress: Option<((Stage, usize), Steps)> = None;
+    seepd_train::train(spec, settings, &mut |now, done, all| {
+        // The last stage's bar goes before the next one's comes.
+        progress = progress.take().filter(|(stage, _)| *stage == (now, all));
+        let (_, steps) = progress.get_or_insert_with(|| ((now, all), Steps::begin(all as u64, name_of(now))));
+        steps.set(done as u64);
+    })
+}
+
+fn name_of(stage: Stage) -> &'static str {
     match stage {
         Stage::Simulate => "simulating",
         Stage::Compare => "comparing",

@@ -191,7 +191,8 @@ fn compare(
     relative.estimate(&Comparison { baseline, present, load_change, noise: cycle.noise })
 }
 
-fn median(values: impl Iterator<Item = f64>) -> f64 {
+/// Median; 0 of none.
+pub(crate) fn median(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0)

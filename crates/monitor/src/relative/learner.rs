@@ -5,6 +5,7 @@ use seepd_model::schema::Cycle;
 
 use super::{FeatureBaseline, LEAST_CYCLES, RelativeBaseline, RelativeError, SCHEMA, feature_names};
 use crate::baseline::MOST_CYCLES;
+use crate::baseline::learner::median;
 
 /// A cycle is unlike the others from this root mean square of its distances on, in robust standard deviations.
 const UNLIKE: f64 = 4.0;
@@ -171,12 +172,6 @@ fn remarks(kept: &[&Learned], cycles: usize, features: &[FeatureBaseline]) -> Ve
         ));
     }
     remarks
-}
-
-fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 #[cfg(test)]

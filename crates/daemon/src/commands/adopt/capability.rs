@@ -6,7 +6,9 @@ use seepd_monitor::alarm::AlarmConfig;
 use seepd_monitor::baseline::BaselineFile;
 use seepd_monitor::event::LPM_PER_M3_PER_S;
 use seepd_monitor::pipeline::{HOURS_PER_YEAR, REFERENCE_DP_PA};
+use seepd_sim::MachineSpec;
 use seepd_train::Trained;
+use seepd_train::leak_range::LeakRange;
 use seepd_train::relative::cycles_between_false_alarms;
 use serde::Serialize;
 
@@ -37,7 +39,7 @@ pub(crate) struct Capability {
 impl Capability {
     /// Of a model and a baseline that were made for the machine.
     pub(crate) fn of(model: &Model, baseline: &BaselineFile, trained: Option<&Trained>) -> Self {
-        let per_m2 = lpm_per_m2(model);
+        let per_m2 = LPM_PER_M3_PER_S * model.leak_flow_m3_per_s(1.0, REFERENCE_DP_PA);
         let newest = baseline.newest();
         let deviation = newest.map_or(f64::NAN, |baseline| baseline.residual_deviation_m2);
         let (mut smallest, mut confounded, mut years) = (Vec::new(), f64::NAN, f64::NAN);
@@ -106,11 +108,10 @@ impl Capability {
     }
 
     /// Thresholds in proportion to the valve, and above what can be found.
-    pub(crate) fn alarm(&self, model: &Model) -> AlarmConfig {
+    pub(crate) fn alarm(&self, plant: &MachineSpec) -> AlarmConfig {
+        // The usual thresholds are those of the nominal press.
         let usual = AlarmConfig::default();
-        // The model's range of leaks goes with the valve; the usual thresholds are those of the nominal press.
-        let offset_m2 = model.relative().map_or(2e-8, |relative| relative.file().offset_m2);
-        let scale = offset_m2 / 2e-8;
+        let scale = LeakRange::of(plant).scale();
         let found =
             self.smallest_lpm.iter().find(|(cycles, ..)| *cycles == 100).map_or(0.0, |found| ROOM * found.1);
         let watch = rounded((scale * usual.watch_lpm).max(found));
@@ -121,14 +122,6 @@ impl Capability {
             ..usual
         }
     }
-}
-
-/// Flow of a leak's area at the reference pressure, L/min for each m².
-pub(crate) fn lpm_per_m2(model: &Model) -> f64 {
-    let orifice = &model.file().orifice;
-    orifice.discharge_coefficient
-        * (2.0 * REFERENCE_DP_PA / orifice.density_kg_per_m3).sqrt()
-        * LPM_PER_M3_PER_S
 }
 
 /// Two significant digits.

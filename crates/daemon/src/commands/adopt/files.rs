@@ -12,6 +12,7 @@ use seepd_monitor::alarm::AlarmConfig;
 use seepd_settings::side_file;
 use seepd_sim::{MachineSpec, PlantParameters};
 
+use crate::commands::simulate::read_plant;
 use crate::config::{AxisConfig, DaemonConfig};
 use crate::failure::{Code, Failure};
 use crate::output::{Outputs, OverwriteArguments};
@@ -101,7 +102,7 @@ impl Folder {
     }
 
     pub(super) fn read_plant(&self) -> Result<MachineSpec, Failure> {
-        super::read_plant(&self.path("plant.toml"))
+        read_plant(Some(&self.path("plant.toml")))
     }
 
     pub(super) fn write_basis(&self, basis: &TrainingBasis) -> Result<(), Failure> {

@@ -7,9 +7,8 @@ mod files;
 mod questions;
 mod told;
 
-use std::fs;
 use std::io::{self, IsTerminal};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
@@ -22,23 +21,21 @@ use seepd_adopt::training::TrainingBasis;
 use seepd_logs::LogMapping;
 use seepd_logs::can::dbc::Dbc;
 use seepd_logs::columns::{Columns, Known};
-use seepd_logs::record;
 use seepd_model::Model;
 use seepd_monitor::baseline::{BaselineFile, MOST_CYCLES};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
-use seepd_settings::side_file;
 use seepd_signals::Signal;
-use seepd_sim::MachineSpec;
-use seepd_train::train::Stage;
 use seepd_train::{TrainError, Trained};
 
+use super::reading::each_sample;
+use super::train::with_progress;
 use crate::cli::Outcome;
 use crate::config::{AxisConfig, load_model};
 use crate::failure::{Code, Failure};
 use crate::html::adopt::AdoptPage;
 use crate::output::OverwriteArguments;
-use crate::progress::{Steps, byte_bar, counting, warn};
-use crate::sink::terminal::print;
+use crate::progress::warn;
+use crate::sink::terminal::{listed, print};
 use capability::Capability;
 use files::Folder;
 
@@ -108,8 +105,9 @@ enum Step {
 /// [`Failure`] in one sentence: what was seen and what to do. What was found so far stays in the folder.
 pub fn run(arguments: &AdoptArguments) -> Result<Outcome, Failure> {
     let folder = Folder::open(&arguments.out, arguments.overwrite.force || arguments.from > Step::Signals)?;
-    let (mut config, proposal) = signals(arguments, &folder)?;
-    let machine = machine_data(arguments, &folder)?;
+    let known = known_machine(arguments, &folder)?;
+    let (mut config, proposal) = signals(arguments, &folder, known.as_ref())?;
+    let machine = known.map_or_else(|| ask_machine(&folder), Ok)?;
     config.axis = arguments.axis.clone().or_else(|| machine.name.clone()).unwrap_or_else(|| folder.name());
     let described = if arguments.from <= Step::Cycle {
         Some(describe(arguments, &folder, (&mut config, proposal), &machine)?)
@@ -119,12 +117,13 @@ pub fn run(arguments: &AdoptArguments) -> Result<Outcome, Failure> {
     let (model, trained) = model(arguments, &folder, described.as_ref())?;
     let baseline = baseline(arguments, &folder, &config, &model)?;
     let capability = Capability::of(&model, &baseline, trained.as_ref());
-    config.alarm = capability.alarm(&model);
+    let plant = folder.read_plant()?;
+    config.alarm = capability.alarm(&plant);
     folder.write_config(&config)?;
     let page = AdoptPage {
         axis: &config.axis,
         described: described.as_ref(),
-        plant: &folder.read_plant()?,
+        plant: &plant,
         mapping: &config.signals,
         baseline: &baseline,
         capability: &capability,
@@ -152,7 +151,11 @@ pub(crate) struct Described {
 }
 
 /// Step 1: where the signals are, as a configuration without a model.
-fn signals(arguments: &AdoptArguments, folder: &Folder) -> Result<(AxisConfig, SignalProposal), Failure> {
+fn signals(
+    arguments: &AdoptArguments,
+    folder: &Folder,
+    machine: Option<&MachineData>,
+) -> Result<(AxisConfig, SignalProposal), Failure> {
     if arguments.from > Step::Signals {
         return Ok((folder.read_config()?, SignalProposal::default()));
     }
@@ -163,7 +166,7 @@ fn signals(arguments: &AdoptArguments, folder: &Folder) -> Result<(AxisConfig, S
     config.dbc = arguments.dbc.clone().or(config.dbc);
     let known = Known { dbc: config.dbc.as_deref().map(Dbc::read).transpose()?, ..Known::default() };
     let columns = Columns::of_file(&arguments.logs[0], &known)?;
-    let proposal = propose(&columns, &hints(arguments, folder, &config)?);
+    let proposal = propose(&columns, &hints(machine, &config));
     told::signals(&arguments.logs[0], &columns, &proposal);
     if let Some(refusal) = &proposal.refusal {
         return Err(Failure::data(refusal.clone()));
@@ -182,33 +185,27 @@ fn signals(arguments: &AdoptArguments, folder: &Folder) -> Result<(AxisConfig, S
     Ok((config, proposal))
 }
 
-fn hints(arguments: &AdoptArguments, folder: &Folder, config: &AxisConfig) -> Result<Hints, Failure> {
-    let data = match machine_file(arguments, folder) {
-        Some(path) => files::read_machine(&path)?,
-        None => MachineData::default(),
-    };
-    Ok(Hints {
-        stroke_m: data.cylinder.stroke_mm.map(|stroke| 1e-3 * stroke.value()),
-        supply_pa: data.supply.relief_bar.map(|pressure| 1e5 * pressure.value()),
+fn hints(machine: Option<&MachineData>, config: &AxisConfig) -> Hints {
+    Hints {
+        stroke_m: machine.and_then(|data| data.cylinder.stroke_mm).map(|stroke| 1e-3 * stroke.value()),
+        supply_pa: machine.and_then(|data| data.supply.relief_bar).map(|pressure| 1e5 * pressure.value()),
         given: config.signals.clone(),
-    })
-}
-
-/// The file that describes the machine: the one that is named, or the folder's.
-fn machine_file(arguments: &AdoptArguments, folder: &Folder) -> Option<PathBuf> {
-    let of_folder = || Some(folder.path("machine.toml")).filter(|path| path.exists());
-    arguments.machine.clone().or_else(of_folder)
-}
-
-/// Step 3's input: what the user knows.
-fn machine_data(arguments: &AdoptArguments, folder: &Folder) -> Result<MachineData, Failure> {
-    if let Some(path) = machine_file(arguments, folder) {
-        let data = files::read_machine(&path)?;
-        if path != folder.path("machine.toml") {
-            folder.copy(&path, "machine.toml")?;
-        }
-        return Ok(data);
     }
+}
+
+/// Step 3's input: what the user has written down, in the file that is named or in the folder's. The folder has it from then on.
+fn known_machine(arguments: &AdoptArguments, folder: &Folder) -> Result<Option<MachineData>, Failure> {
+    let of_folder = folder.path("machine.toml");
+    if let Some(path) = arguments.machine.as_ref().filter(|path| **path != of_folder) {
+        let data = files::read_machine(path)?;
+        folder.copy(path, "machine.toml")?;
+        return Ok(Some(data));
+    }
+    of_folder.exists().then(|| files::read_machine(&of_folder)).transpose()
+}
+
+/// Step 3's input where nothing is written down: asked for on a terminal, else unknown.
+fn ask_machine(folder: &Folder) -> Result<MachineData, Failure> {
     if io::stdin().is_terminal() && io::stderr().is_terminal() {
         let data = questions::machine()?;
         folder.write("machine.toml", files::machine_toml(&data)?)?;
@@ -257,15 +254,8 @@ fn failure(error: &AdoptionError) -> Failure {
 
 /// The logs on one time grid, one after the other.
 fn record_of(arguments: &AdoptArguments, mapping: &LogMapping) -> Result<Recording, Failure> {
-    let sizes = arguments.logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum();
-    let bar = byte_bar(sizes, "reading");
     let mut recorder = Recorder::default();
-    let notes = record::each_sample(&arguments.logs, mapping, counting(&bar), |sample| {
-        recorder.take(sample);
-        Ok::<(), Failure>(())
-    })?;
-    bar.finish_and_clear();
-    notes.iter().for_each(|note| warn(note));
+    each_sample(&arguments.logs, mapping, "reading", |sample| recorder.take(sample))?;
     let recording = recorder.finish().map_err(|error| Failure::data(error.to_string()))?;
     if recording.beyond > 0 {
         warn(&format!(
@@ -292,15 +282,7 @@ fn model(
     };
     let effort = if arguments.quick { QUICK } else { 1.0 };
     let settings = folder.read_basis()?.settings(&spec, effort);
-    let mut progress: Option<((Stage, usize), Steps)> = None;
-    let trained = seepd_train::train(&spec, &settings, &mut |now, done, all| {
-        progress = progress.take().filter(|(stage, _)| *stage == (now, all));
-        let (_, steps) = progress
-            .get_or_insert_with(|| ((now, all), Steps::begin(all as u64, super::train::name_of(now))));
-        steps.set(done as u64);
-    })
-    .map_err(|error| training_failure(&error))?;
-    drop(progress);
+    let trained = with_progress(&spec, &settings).map_err(|error| training_failure(&error))?;
     folder.write("model.json", &trained.json)?;
     let model = load_model(&folder.path("model.json"))?;
     Ok((Arc::new(model), Some(trained)))
@@ -323,17 +305,10 @@ fn baseline(
     pipeline.monitors_mut()[0]
         .learn("adoption", MOST_CYCLES)
         .map_err(|error| Failure::new(Code::Configuration, error.to_string()))?;
-    let notes = record::each_sample(
-        &arguments.logs,
-        &config.log_mapping(),
-        |_| (),
-        |sample| {
-            pipeline.push(sample, &mut |_| ());
-            Ok::<(), Failure>(())
-        },
-    )?;
+    each_sample(&arguments.logs, &config.log_mapping(), "learning", |sample| {
+        pipeline.push(sample, &mut |_| ());
+    })?;
     pipeline.finish(&mut |_| ());
-    notes.iter().for_each(|note| warn(note));
     let monitor = &pipeline.monitors()[0];
     let baseline = match (monitor.baseline(), monitor.learner()) {
         (Some(baseline), _) => Ok(baseline.clone()),
@@ -342,9 +317,8 @@ fn baseline(
     };
     let rejected = pipeline.summary().rejected;
     let baseline = baseline.map_err(|what| {
-        let listed: Vec<String> = rejected.iter().map(|(name, count)| format!("{count} {name}")).collect();
         let rejected =
-            if listed.is_empty() { String::new() } else { format!(" (rejected: {})", listed.join(", ")) };
+            if rejected.is_empty() { String::new() } else { format!(" (rejected: {})", listed(&rejected)) };
         Failure::data(format!(
             "plant and model are in the folder, but no baseline could be learned: {what}{rejected}"
         ))
@@ -355,10 +329,4 @@ fn baseline(
     let json = file.to_json().map_err(|error| Failure::writing(&folder.path("baseline.json"), error))?;
     folder.write("baseline.json", json)?;
     Ok(file)
-}
-
-/// The plant of a folder.
-fn read_plant(path: &Path) -> Result<MachineSpec, Failure> {
-    let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
-    MachineSpec::from_toml(&text).map_err(|error| Failure::configuration(path, error))
 }

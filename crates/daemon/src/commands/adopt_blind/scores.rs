@@ -13,10 +13,9 @@ use serde::Deserialize;
 
 use super::{Ended, TRUTH};
 use crate::cli::Outcome;
-use crate::commands::blind::{json, read_json, write_json};
+use crate::commands::blind::{read_json, tell_or_write};
 use crate::failure::Failure;
 use crate::output::{Outputs, OverwriteArguments};
-use crate::sink::terminal::print;
 
 #[derive(Debug, Args)]
 pub(super) struct ScoreArguments {
@@ -77,16 +76,7 @@ pub(super) fn run(arguments: &ScoreArguments) -> Result<Outcome, Failure> {
             arguments.adopted.display()
         )));
     }
-    match file {
-        Some(file) => write_json(&file, &scores)?,
-        None if arguments.json.is_some() => {
-            print((json(&scores)? + "\n").as_bytes())?;
-            return Ok(Outcome::Good);
-        }
-        None => {}
-    }
-    print(tables(&scores).as_bytes())?;
-    Ok(Outcome::Good)
+    tell_or_write(arguments.json.is_some(), file.as_ref(), &scores, || tables(&scores))
 }
 
 fn read_answer(adopted: &Path, name: &str, truth: &Truth) -> Result<Answer, Failure> {
