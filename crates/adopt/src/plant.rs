@@ -35,6 +35,10 @@ const LEAST_STEPS: usize = 4;
 /// Volume between line and valve over that of the nominal press: its pressure settles within a millisecond all the same, and the simulation
 /// may take longer steps.
 const SOFT_INLET: f64 = 2.5;
+/// That volume grows until its pressure settles in this share of a tick, of which the command says nothing, but to no more than this share of
+/// the cylinder's: a slow machine is simulated in few steps then.
+const SETTLED_SHARE: f64 = 0.18;
+const LARGEST_INLET: f64 = 0.3;
 
 /// Usual tolerances of data sheets, shares of the value.
 mod tolerance {
@@ -190,6 +194,7 @@ pub fn describe(data: &MachineData, logged: &LoggedSize) -> Result<DescribedPlan
     describer.rest_of_the_plant(data);
     describer.speed_fits(data, logged)?;
     describer.controller(data, logged);
+    describer.soften_the_inlet();
     let sign = match data.cylinder.orientation {
         Orientation::Horizontal => 0.0,
         Orientation::RodUp => -1.0,
@@ -479,6 +484,15 @@ impl Describer {
         c.log_every = (logged.log_period_s / tick_s - 1e-6).ceil().max(1.0) as usize;
         c.period_s = logged.log_period_s / c.log_every as f64;
         c.steps_per_period = LEAST_STEPS;
+    }
+
+    /// See [`SETTLED_SHARE`]; the line's law is steepest without a flow.
+    fn soften_the_inlet(&mut self) {
+        let p = &self.spec.plant;
+        let slope = p.line_m3_per_s_sqrt_pa / p.transition_pressure_pa.sqrt();
+        let settled_m3 = p.bulk_modulus_pa * slope * SETTLED_SHARE * self.spec.controller.period_s;
+        let volume_m3 = settled_m3.min(LARGEST_INLET * p.cap_area_m2 * p.stroke_m).max(p.inlet_volume_m3);
+        self.usual("inlet_volume_m3", volume_m3);
     }
 }
 

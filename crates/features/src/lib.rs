@@ -17,4 +17,4 @@ pub use kalman::{Kalman, KalmanState};
 pub use load::{LoadSummary, PistonAreas};
 pub use moments::MomentSummary;
 pub use reader::{CycleReader, CycleState, Outcome, ReaderError, Reason, RejectedCycle, ValidCycle};
-pub use segment::{Anchor, CycleDefinition, DemandMark, Phase, PhaseKind, Projection, Projections};
+pub use segment::{Anchor, Anchors, CycleDefinition, DemandMark, Phase, PhaseKind, Projection, Projections};

@@ -10,9 +10,10 @@ use crate::kalman::{Kalman, KalmanState};
 use crate::load::{LoadState, PistonAreas};
 use crate::noise::NoiseState;
 use crate::segment::{
-    CycleDefinition, MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS, Orphan, SegmentEvent, SegmentState, Span,
+    CycleDefinition, MAX_ANCHORS, MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS, Orphan, PhaseKind,
+    SegmentEvent, SegmentState, Span,
 };
-use crate::statistics::{CycleStatistics, RingView};
+use crate::statistics::{CycleStatistics, RingView, Timeline};
 
 /// Why a cycle is not used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -293,11 +294,14 @@ impl<'m> CycleReader<'m> {
         definition: CycleDefinition<'m>,
         features: &'m [Feature],
     ) -> Result<Self, ReaderError> {
-        let [first, last] = &definition.anchors;
+        let anchors = &definition.anchors;
+        let template =
+            anchors.as_slice().iter().map(|anchor| anchor.template.len()).max().unwrap_or_default();
         for (what, given, most) in [
             ("features", features.len(), MAX_FEATURES),
             ("phases", definition.phases.len(), MAX_PHASES),
-            ("bins of a template", first.template.len().max(last.template.len()), MAX_TEMPLATE_BINS),
+            ("strokes by which cycles are found", anchors.count(), MAX_ANCHORS),
+            ("bins of a template", template, MAX_TEMPLATE_BINS),
             ("bins of a cycle", definition.cycle_bins(), MAX_CYCLE_BINS),
         ] {
             if given > most {
@@ -347,7 +351,7 @@ impl<'m> CycleReader<'m> {
 
     /// Whether the cycle's first samples are there.
     fn has_begin(&self, span: &Span) -> bool {
-        -span.start <= self.bearable_samples(span, self.definition.anchors[0].end_s)
+        -span.start <= self.bearable_samples(span, self.definition.anchors.first().end_s)
     }
 
     /// Whether the cycle's last samples are there, `next` being the number of the first that is not.
@@ -697,14 +701,10 @@ impl<'m> CycleReader<'m> {
 
     /// Whether a standstill overlaps a stroke by more than is plausible.
     fn is_stuck<B>(&self, state: &CycleState<B>, span: &Span) -> bool {
-        let rate = self.definition.sample_rate_hz;
-        let long = self.stuck_samples as f64;
-        self.definition.phases.iter().filter(|phase| phase.kind == crate::segment::PhaseKind::Stroke).any(
-            |phase| {
-                let from = span.start as f64 + phase.from_s * rate;
-                let to = span.start as f64 + phase.to_s * rate;
-                state.runs.iter().any(|(start, end)| (*end as f64).min(to) - (*start as f64).max(from) > long)
-            },
-        )
+        let timeline = Timeline { definition: &self.definition, span };
+        let strokes = self.definition.phases.iter().filter(|phase| phase.kind == PhaseKind::Stroke);
+        strokes.map(|phase| timeline.range(phase.from_s, phase.to_s)).any(|(from, to)| {
+            state.runs.iter().any(|(start, end)| (*end).min(to) - (*start).max(from) > self.stuck_samples)
+        })
     }
 }

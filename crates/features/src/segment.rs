@@ -1,11 +1,16 @@
-//! Where the duty cycles are: found from the command alone, by the shape of two of its strokes.
+//! Where the duty cycles are: found from the command alone, by the shape of its strokes.
 //!
-//! The filtered command is averaged into bins of 50 ms (configurable) and compared with two templates, the cycle's
-//! first and last large stroke, by normalised cross-correlation: independent of offset and scale, which leaks,
-//! loads and valves change. A maximum of the last stroke's correlation looks back for the first stroke's at
-//! the planned distance; the two anchor the cycle. Standstill between cycles does not matter.
+//! The filtered command is averaged into bins of 50 ms (configurable) and compared with the strokes' templates by
+//! normalised cross-correlation: independent of offset and scale, which leaks, loads and valves change. Two large strokes at
+//! a planned distance anchor a cycle, or a row of all of them where two do not tell it. Standstill between cycles does not matter.
+
+mod pair;
+mod row;
 
 use serde::{Deserialize, Serialize};
+
+use pair::Pair;
+use row::Row;
 
 /// A stroke by whose shape cycles are found; `T` holds the template's bins, borrowed by a reader, owned by a model's file.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -19,8 +24,16 @@ pub struct Anchor<T> {
     pub sure_correlation: f64,
     /// Least standard deviation of the command over the stroke, share of full command.
     pub least_deviation: f64,
+    /// How much longer than planned the machine may wait for an event between the anchor before and this one, s.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub wait_s: f64,
     /// Shape in bins, mean 0 and sum of squares 1.
     pub template: T,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 impl<T: AsRef<[f32]>> Anchor<T> {
@@ -31,8 +44,82 @@ impl<T: AsRef<[f32]>> Anchor<T> {
             least_correlation: self.least_correlation,
             sure_correlation: self.sure_correlation,
             least_deviation: self.least_deviation,
+            wait_s: self.wait_s,
             template: self.template.as_ref(),
         }
+    }
+}
+
+/// The strokes by which cycles are found, in time order: two, or a row of more where two do not tell a cycle.
+#[derive(Debug, Clone, Copy)]
+pub struct Anchors<'m> {
+    strokes: [Anchor<&'m [f32]>; MAX_ANCHORS],
+    count: usize,
+    /// Which of them are the largest out and the largest back, in time order.
+    largest: [usize; 2],
+}
+
+impl<'m> Anchors<'m> {
+    /// The largest stroke out and the largest back, the earlier one first, and the others by which cycles are found, in any order; what a
+    /// cycle has beyond [`MAX_ANCHORS`] is counted and makes [`CycleReader::new`](crate::CycleReader::new) refuse.
+    pub fn new(largest: [Anchor<&'m [f32]>; 2], others: impl IntoIterator<Item = Anchor<&'m [f32]>>) -> Self {
+        let [first, last] = largest;
+        let mut anchors = Anchors { strokes: [first; MAX_ANCHORS], count: 1, largest: [0, 0] };
+        anchors.insert(last);
+        others.into_iter().for_each(|other| anchors.insert(other));
+        let index_of = |one: Anchor<&[f32]>| {
+            let strokes = anchors.as_slice();
+            strokes.iter().position(|stroke| stroke.end_s >= one.end_s).unwrap_or_default()
+        };
+        anchors.largest = [index_of(first), index_of(last)];
+        anchors
+    }
+
+    /// Keeps the time order.
+    fn insert(&mut self, one: Anchor<&'m [f32]>) {
+        let at = self.as_slice().iter().take_while(|stroke| stroke.end_s <= one.end_s).count();
+        if let Some(later) = self.strokes.get_mut(at..) {
+            later.rotate_right(1);
+            if let Some(free) = later.first_mut() {
+                *free = one;
+            }
+        }
+        self.count += 1;
+    }
+
+    /// In time order.
+    pub fn as_slice(&self) -> &[Anchor<&'m [f32]>] {
+        self.strokes.get(..self.count).unwrap_or(&self.strokes)
+    }
+
+    /// How many there are, those without room included.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Whether cycles are found by a row of strokes and not by two.
+    pub fn is_row(&self) -> bool {
+        self.count > 2
+    }
+
+    /// The earliest.
+    pub fn first(&self) -> &Anchor<&'m [f32]> {
+        &self.strokes[0]
+    }
+
+    /// The latest.
+    pub fn last(&self) -> &Anchor<&'m [f32]> {
+        self.as_slice().last().unwrap_or(&self.strokes[0])
+    }
+
+    /// The largest stroke out and the largest back, in time order.
+    pub fn largest(&self) -> [&Anchor<&'m [f32]>; 2] {
+        self.largest.map(|index| self.strokes.get(index).unwrap_or(&self.strokes[0]))
+    }
+
+    /// How much longer than planned a cycle may last by waiting for events, s.
+    fn waits_s(&self) -> f64 {
+        self.as_slice().iter().skip(1).map(|stroke| stroke.wait_s).sum()
     }
 }
 
@@ -116,11 +203,11 @@ pub struct CycleDefinition<'m> {
     pub period_s: f64,
     /// Samples in a bin.
     pub bin_samples: usize,
-    /// First and last stroke.
-    pub anchors: [Anchor<&'m [f32]>; 2],
+    /// The strokes by which it is found.
+    pub anchors: Anchors<'m>,
     /// Where the demand tells the start of a cycle.
     pub demand_mark: Option<DemandMark>,
-    /// How far the distance between the strokes may be off plan, share of the period.
+    /// How far the distance between two strokes may be off plan, share of the period; in a row, of that distance.
     pub tolerance: f64,
     /// Parts of the cycle, at most [`MAX_PHASES`].
     pub phases: &'m [Phase],
@@ -130,6 +217,8 @@ pub struct CycleDefinition<'m> {
 
 /// Most phases of a cycle.
 pub const MAX_PHASES: usize = 16;
+/// Most strokes by which a cycle is found.
+pub const MAX_ANCHORS: usize = 14;
 /// Most bins of a template.
 pub const MAX_TEMPLATE_BINS: usize = 128;
 /// Most bins of a cycle.
@@ -148,9 +237,9 @@ impl CycleDefinition<'_> {
     /// Least length of the ring buffer that [`CycleState`](crate::CycleState) needs: a cycle, what the distance
     /// between the strokes may stretch, and the time until a stroke is confirmed.
     pub fn ring_samples(&self) -> usize {
-        ((1.0 + 2.0 * self.tolerance + RIVAL_SHARE + CONFIRM_SHARE) * self.period_s * self.sample_rate_hz)
-            as usize
-            + 2 * self.bin_samples
+        let shares = 1.0 + 2.0 * self.tolerance + self.rival_share() + CONFIRM_SHARE;
+        let longest_s = shares * self.period_s + 2.0 * self.anchors.waits_s();
+        (longest_s * self.sample_rate_hz) as usize + 2 * self.bin_samples
     }
 
     /// Bins of a whole cycle.
@@ -160,25 +249,45 @@ impl CycleDefinition<'_> {
 
     /// Time from the last stroke's anchor to the cycle's end as planned, s.
     pub(crate) fn after_last_stroke_s(&self) -> f64 {
-        self.period_s - self.anchors[1].end_s
+        self.period_s - self.anchors.last().end_s
     }
 
     /// Time between a cycle's strokes over the planned one: below 1 for a cycle that runs faster.
     pub(crate) fn pace_of(&self, span: &Span) -> f64 {
-        (span.anchors[1] - span.anchors[0]) / self.planned_distance()
+        let last = self.anchors.as_slice().len() - 1;
+        (span.anchors[last] - span.anchors[0]) / self.planned_distance()
     }
 
-    /// Samples between the two anchors as planned.
+    /// Samples between the first and the last anchor as planned.
     fn planned_distance(&self) -> f64 {
-        (self.anchors[1].end_s - self.anchors[0].end_s) * self.sample_rate_hz
+        (self.anchors.last().end_s - self.anchors.first().end_s) * self.sample_rate_hz
+    }
+
+    /// Where a cycle lies whose anchors are at these sample numbers.
+    fn span_of(&self, anchors: [f64; MAX_ANCHORS]) -> Span {
+        let last = anchors[self.anchors.as_slice().len() - 1];
+        Span {
+            start: self.start_of(anchors[0]),
+            end: libm::round(last + self.after_last_stroke_s() * self.sample_rate_hz) as i64,
+            anchors,
+        }
+    }
+
+    /// Start of the cycle whose first anchor is at that sample number.
+    fn start_of(&self, first: f64) -> i64 {
+        libm::round(first - self.anchors.first().end_s * self.sample_rate_hz) as i64
     }
 
     fn tolerance_samples(&self) -> f64 {
         self.tolerance * self.period_s * self.sample_rate_hz
     }
 
+    fn rival_share(&self) -> f64 {
+        if self.anchors.is_row() { row::RIVAL_SHARE } else { RIVAL_SHARE }
+    }
+
     fn rival_samples(&self) -> f64 {
-        RIVAL_SHARE * self.period_s * self.sample_rate_hz
+        self.rival_share() * self.period_s * self.sample_rate_hz
     }
 
     fn confirm_samples(&self) -> f64 {
@@ -202,8 +311,8 @@ pub struct Span {
     pub start: i64,
     /// Sample number just after the cycle.
     pub end: i64,
-    /// Sample numbers of the two anchors.
-    pub anchors: [f64; 2],
+    /// Sample numbers of the anchors, in the definition's order; those beyond its number say nothing.
+    pub anchors: [f64; MAX_ANCHORS],
 }
 
 /// What a sample reveals about cycles.
@@ -224,9 +333,6 @@ pub(crate) struct Orphan {
     pub(crate) correlation: f64,
 }
 
-/// First strokes that are remembered until a last stroke looks back for its own.
-const REMEMBERED: usize = 8;
-
 /// What the segmentation remembers.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SegmentState {
@@ -235,9 +341,9 @@ pub(crate) struct SegmentState {
     bin_fill: usize,
     bin_count: i64,
     /// The last two correlations of each anchor.
-    correlations: [[f64; 2]; 2],
-    first: [Option<Match>; REMEMBERED],
-    last: Option<Match>,
+    correlations: [[f64; 2]; MAX_ANCHORS],
+    pair: Pair,
+    row: Row,
 }
 
 impl Default for SegmentState {
@@ -247,9 +353,9 @@ impl Default for SegmentState {
             bin_sum: 0.0,
             bin_fill: 0,
             bin_count: 0,
-            correlations: [[-1.0; 2]; 2],
-            first: [None; REMEMBERED],
-            last: None,
+            correlations: [[-1.0; 2]; MAX_ANCHORS],
+            pair: Pair::default(),
+            row: Row::default(),
         }
     }
 }
@@ -258,27 +364,22 @@ impl SegmentState {
     /// Start of the cycle whose first stroke has been seen and whose last one may still come, at sample `now`, and how
     /// well that stroke matches.
     pub(crate) fn cycle_under_way(&self, definition: &CycleDefinition<'_>, now: i64) -> Option<(i64, f64)> {
-        let longest =
-            definition.planned_distance() + definition.tolerance_samples() + definition.confirm_samples();
-        let mut best: Option<&Match> = None;
-        for first in self.first.iter().flatten().filter(|first| now as f64 - first.end < longest) {
-            if best.is_none_or(|best| first.correlation > best.correlation) {
-                best = Some(first);
-            }
+        if definition.anchors.is_row() {
+            self.row.cycle_under_way(definition, now)
+        } else {
+            self.pair.cycle_under_way(definition, now)
         }
-        let rate = definition.sample_rate_hz;
-        best.map(|first| {
-            let start = libm::round(first.end - definition.anchors[0].end_s * rate) as i64;
-            (start, first.correlation)
-        })
     }
 
     /// Start of the earliest cycle of which the strokes are not confirmed yet, at sample `now`.
     pub(crate) fn awaited(&self, definition: &CycleDefinition<'_>, now: i64) -> Option<i64> {
-        let rate = definition.sample_rate_hz;
-        let of_last = self.last.map(|last| libm::round(last.end - definition.anchors[1].end_s * rate) as i64);
-        let of_first = self.cycle_under_way(definition, now).map(|(start, _)| start);
-        of_last.into_iter().chain(of_first).min()
+        let unconfirmed = if definition.anchors.is_row() {
+            self.row.unconfirmed(definition)
+        } else {
+            self.pair.unconfirmed(definition)
+        };
+        let under_way = self.cycle_under_way(definition, now).map(|(start, _)| start);
+        unconfirmed.into_iter().chain(under_way).min()
     }
 
     /// Takes sample number `now`.
@@ -303,84 +404,34 @@ impl SegmentState {
     }
 
     fn push_bin(&mut self, definition: &CycleDefinition<'_>, now: i64) -> Option<SegmentEvent> {
-        for which in 0..2 {
-            let correlation = self.correlation(&definition.anchors[which]);
+        for (which, anchor) in definition.anchors.as_slice().iter().enumerate() {
+            let correlation = self.correlation(anchor);
             let [before, peak] = self.correlations[which];
             self.correlations[which] = [peak, correlation];
-            let is_maximum =
-                peak >= definition.anchors[which].least_correlation && peak > before && peak >= correlation;
-            if is_maximum {
+            if peak >= anchor.least_correlation && peak > before && peak >= correlation {
                 // The vertex of the parabola through the three correlations around the maximum.
                 let curvature = before - 2.0 * peak + correlation;
                 let shift = if curvature < 0.0 { 0.5 * (before - correlation) / curvature } else { 0.0 };
                 let bin_samples = definition.bin_samples as f64;
                 let end = (now + 1) as f64 - bin_samples * (1.0 - shift);
-                self.matched(which, Match { end, correlation: peak }, definition.confirm_samples());
+                let found = Match { end, correlation: peak };
+                if definition.anchors.is_row() {
+                    self.row.matched(definition, which, found);
+                } else {
+                    self.pair.matched(which, found, definition.confirm_samples());
+                }
             }
         }
-        let last = self.last?;
-        let sure = last.correlation >= definition.anchors[1].sure_correlation;
-        let wait = if sure { definition.confirm_samples() } else { definition.rival_samples() };
-        if (now as f64 - last.end) < wait {
-            return None;
+        if definition.anchors.is_row() {
+            self.row.confirmed(definition, now)
+        } else {
+            self.pair.confirmed(definition, now)
         }
-        self.last = None;
-        Some(self.cycle_ending_with(definition, last))
     }
 
     /// The stream ends: the last stroke that was waiting for a better one is the best that there is.
     pub(crate) fn flush(&mut self, definition: &CycleDefinition<'_>) -> Option<SegmentEvent> {
-        let last = self.last.take()?;
-        Some(self.cycle_ending_with(definition, last))
-    }
-
-    /// Notes a match; of two that are close together the better one counts.
-    fn matched(&mut self, which: usize, new: Match, close: f64) {
-        if which == 1 {
-            if self.last.is_none_or(|old| new.correlation > old.correlation) {
-                self.last = Some(new);
-            }
-            return;
-        }
-        if let Some(old) = self.first.iter_mut().flatten().find(|old| new.end - old.end < close) {
-            if new.correlation > old.correlation {
-                *old = new;
-            }
-            return;
-        }
-        self.first.rotate_right(1);
-        self.first[0] = Some(new);
-    }
-
-    fn cycle_ending_with(&mut self, definition: &CycleDefinition<'_>, last: Match) -> SegmentEvent {
-        let planned = definition.planned_distance();
-        let tolerance = definition.tolerance_samples();
-        let mut best: Option<Match> = None;
-        for first in self.first.iter().flatten() {
-            let fits = libm::fabs(last.end - first.end - planned) <= tolerance;
-            let is_rivalled = self.first.iter().flatten().any(|other| {
-                other.correlation > first.correlation
-                    && libm::fabs(other.end - first.end) < definition.rival_samples()
-            });
-            if fits && !is_rivalled && best.is_none_or(|best| first.correlation > best.correlation) {
-                best = Some(*first);
-            }
-        }
-        let Some(first) = best else {
-            let end = libm::round(last.end) as i64;
-            return SegmentEvent::OrphanedLastStroke(Orphan { end, correlation: last.correlation });
-        };
-        // What came after the cycle's last stroke is the next cycle's: a last stroke that waits for a better one is confirmed when that
-        // cycle has long begun.
-        for slot in &mut self.first {
-            *slot = slot.filter(|first| first.end > last.end);
-        }
-        let rate = definition.sample_rate_hz;
-        SegmentEvent::Cycle(Span {
-            start: libm::round(first.end - definition.anchors[0].end_s * rate) as i64,
-            end: libm::round(last.end + definition.after_last_stroke_s() * rate) as i64,
-            anchors: [first.end, last.end],
-        })
+        if definition.anchors.is_row() { self.row.flush(definition) } else { self.pair.flush(definition) }
     }
 
     /// Normalised correlation of the newest bins with the template; −1 before there are enough bins, or

@@ -120,9 +120,11 @@ impl CycleStatistics {
         let timeline = Timeline { definition, span };
         let mut moments = Moments::default();
         let mut extremes = (f64::INFINITY, f64::NEG_INFINITY);
-        ring.each(span.start, span.end, |u| {
-            moments.push(u);
-            widen(&mut extremes, u);
+        timeline.each_part(|from, to| {
+            ring.each(from, to, |u| {
+                moments.push(u);
+                widen(&mut extremes, u);
+            });
         });
         let mut statistics = CycleStatistics {
             moments: moments.summary(),
@@ -181,8 +183,8 @@ impl CycleStatistics {
 
     fn fill_strokes(&mut self, timeline: &Timeline<'_, '_>, ring: &RingView<'_>) {
         let definition = timeline.definition;
-        let strokes = [0, 1].map(|which| {
-            let end_s = definition.anchors[which].end_s;
+        let strokes = definition.anchors.largest().map(|anchor| {
+            let end_s = anchor.end_s;
             let before =
                 |phase: &&crate::segment::Phase| phase.kind == PhaseKind::Stroke && phase.from_s < end_s;
             definition
@@ -241,25 +243,40 @@ impl CycleStatistics {
     }
 }
 
-/// Where a cycle's planned times lie among the samples. Each time is counted from the nearer anchor, so that
+/// Where a cycle's planned times lie among the samples. Each time is counted from the nearest anchor, so that
 /// a dwell that varies shifts nothing.
-struct Timeline<'d, 'm> {
-    definition: &'d CycleDefinition<'m>,
-    span: &'d Span,
+pub(crate) struct Timeline<'d, 'm> {
+    pub(crate) definition: &'d CycleDefinition<'m>,
+    pub(crate) span: &'d Span,
 }
 
 impl Timeline<'_, '_> {
     /// Sample numbers of a part of the cycle.
-    fn range(&self, from_s: f64, to_s: f64) -> (i64, i64) {
+    pub(crate) fn range(&self, from_s: f64, to_s: f64) -> (i64, i64) {
         let middle = 0.5 * (from_s + to_s);
-        let [first, last] = [0, 1].map(|which| self.definition.anchors[which].end_s);
-        let (anchor, end_s) = if (middle - first).abs() <= (middle - last).abs() {
-            (self.span.anchors[0], first)
-        } else {
-            (self.span.anchors[1], last)
-        };
-        let number = |at_s: f64| libm::round(anchor + (at_s - end_s) * self.definition.sample_rate_hz) as i64;
+        let mut nearest = (f64::INFINITY, 0.0, 0.0);
+        for (anchor, place) in self.definition.anchors.as_slice().iter().zip(self.span.anchors) {
+            let far = (middle - anchor.end_s).abs();
+            if far < nearest.0 {
+                nearest = (far, place, anchor.end_s);
+            }
+        }
+        let (_, place, end_s) = nearest;
+        let number = |at_s: f64| libm::round(place + (at_s - end_s) * self.definition.sample_rate_hz) as i64;
         (number(from_s), number(to_s))
+    }
+
+    /// The sample numbers over which a cycle is described as a whole: all of it; where it may wait for events between its strokes, the phases
+    /// that every cycle has.
+    fn each_part(&self, mut take: impl FnMut(i64, i64)) {
+        if self.definition.anchors.is_row() {
+            self.definition.phases.iter().for_each(|phase| {
+                let (from, to) = self.range(phase.from_s, phase.to_s);
+                take(from, to);
+            });
+        } else {
+            take(self.span.start, self.span.end);
+        }
     }
 }
 

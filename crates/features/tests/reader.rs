@@ -5,7 +5,7 @@
 use std::sync::LazyLock;
 
 use proptest::prelude::*;
-use seepd_features::{CycleDefinition, CycleReader, Feature, Outcome, ReaderError};
+use seepd_features::{Anchor, Anchors, CycleDefinition, CycleReader, Feature, Outcome, ReaderError};
 use seepd_model::Model;
 use seepd_signals::{Sample, Signal};
 use seepd_sim::cycle::CycleRun;
@@ -385,9 +385,13 @@ fn a_definition_that_is_too_large_is_refused() {
     let phases = [definition.phases[0]; 17];
     assert_eq!(new(CycleDefinition { phases: &phases, ..definition }, &[]), too_many("phases", 17, 16));
     let template = [0.1f32; 129];
-    let mut anchors = definition.anchors;
-    anchors[1].template = &template;
+    let [first, last] = definition.anchors.largest().map(|anchor| *anchor);
+    let long = Anchor { template: &template[..], ..last };
+    let anchors = Anchors::new([first, long], []);
     assert_eq!(new(CycleDefinition { anchors, ..definition }, &[]), too_many("bins of a template", 129, 128));
+    let anchors = Anchors::new([first, last], [first; 13]);
+    let strokes = "strokes by which cycles are found";
+    assert_eq!(new(CycleDefinition { anchors, ..definition }, &[]), too_many(strokes, 15, 14));
     assert_eq!(
         new(CycleDefinition { bin_samples: 10, ..definition }, &[]),
         too_many("bins of a cycle", 1000, 512)

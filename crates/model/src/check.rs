@@ -6,7 +6,7 @@ use alloc::vec::Vec;
 
 use seepd_features::Feature;
 use seepd_features::reader::MAX_FEATURES;
-use seepd_features::segment::{MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS};
+use seepd_features::segment::{MAX_ANCHORS, MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS};
 
 use crate::error::{ModelError, TreeFault};
 use crate::relative::Inputs;
@@ -103,12 +103,19 @@ fn check_cycle(cycle: &Cycle, sample_rate_hz: f64) -> Result<(), ModelError> {
     within("cycle.tolerance", cycle.tolerance, 0.0, 0.5)?;
     let bins = cycle.period_s * sample_rate_hz / cycle.bin_samples as f64;
     within("cycle.period_s in bins", bins, 4.0, MAX_CYCLE_BINS as f64)?;
-    for (index, anchor) in cycle.anchors.iter().enumerate() {
-        let path = |key: &str| format!("cycle.anchors[{index}].{key}");
+    let most = (MAX_ANCHORS - cycle.anchors.len()) as f64;
+    within("cycle.further_anchors.length", cycle.further_anchors.len() as f64, 0.0, most)?;
+    let further = cycle.further_anchors.iter().enumerate();
+    let anchors = cycle.anchors.iter().enumerate().map(|(index, anchor)| ("anchors", index, anchor));
+    for (list, index, anchor) in
+        anchors.chain(further.map(|(index, anchor)| ("further_anchors", index, anchor)))
+    {
+        let path = |key: &str| format!("cycle.{list}[{index}].{key}");
         within(&path("end_s"), anchor.end_s, 0.0, 2.0 * cycle.period_s)?;
         within(&path("least_correlation"), anchor.least_correlation, 0.0, 1.0)?;
         within(&path("sure_correlation"), anchor.sure_correlation, anchor.least_correlation, 1.0)?;
         within(&path("least_deviation"), anchor.least_deviation, 0.0, 1.0)?;
+        within(&path("wait_s"), anchor.wait_s, 0.0, cycle.period_s)?;
         within(&path("template.length"), anchor.template.len() as f64, 3.0, MAX_TEMPLATE_BINS as f64)?;
         all_finite(&path("template"), anchor.template.iter().map(|value| f64::from(*value)))?;
     }

@@ -3,7 +3,7 @@
 use alloc::string::String;
 use alloc::vec::Vec;
 
-use seepd_features::{Anchor, CycleDefinition, DemandMark, Kalman, Phase, PhaseKind, Projections};
+use seepd_features::{Anchor, Anchors, CycleDefinition, DemandMark, Kalman, Phase, PhaseKind, Projections};
 use serde::{Deserialize, Serialize};
 
 /// The `schema` field of this version.
@@ -73,10 +73,13 @@ pub struct Cycle {
     pub period_s: f64,
     /// Samples in a bin.
     pub bin_samples: usize,
-    /// How far the distance between the anchors may be off plan, share of the period.
+    /// How far the distance between the anchors may be off plan, share of the period; with further anchors, of that distance.
     pub tolerance: f64,
-    /// The first and the last stroke, by whose shape cycles are found.
+    /// The largest stroke out and the largest back, in time order, by whose shape cycles are found.
     pub anchors: [Anchor<Vec<f32>>; 2],
+    /// Other strokes: with them cycles are found by the order of all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub further_anchors: Vec<Anchor<Vec<f32>>>,
     /// Where the demand tells the start of a cycle.
     #[serde(default)]
     pub demand_mark: Option<DemandMark>,
@@ -105,7 +108,10 @@ impl Cycle {
             sample_rate_hz,
             period_s: self.period_s,
             bin_samples: self.bin_samples,
-            anchors: [first.borrowed(), last.borrowed()],
+            anchors: Anchors::new(
+                [first.borrowed(), last.borrowed()],
+                self.further_anchors.iter().map(Anchor::borrowed),
+            ),
             demand_mark: self.demand_mark,
             tolerance: self.tolerance,
             phases,

@@ -7,6 +7,7 @@ use seepd_sim::noise::Noise;
 use seepd_train::Spread;
 use seepd_train::dataset;
 use seepd_train::forest::{Forest, ForestParams, Table, predict};
+use seepd_train::leak_range::LeakRange;
 use serde::Serialize;
 
 use crate::features::{Cycle, Lens, presses};
@@ -106,7 +107,8 @@ pub(crate) fn compare(
         })
         .collect();
     let same = presses(spec, &areas, TEST_STREAM);
-    let mut series = dataset::draw(spec, &Spread::default(), TESTED, seed, SERIES_PURPOSE);
+    let mut series =
+        dataset::draw(spec, &Spread::default(), LeakRange::of(spec), TESTED, seed, SERIES_PURPOSE);
     for (machine, area) in series.iter_mut().zip(&areas) {
         machine.leak_area_m2 = *area;
     }

@@ -5,6 +5,7 @@ use seepd_sim::MachineSpec;
 use seepd_sim::series::Tolerances;
 use seepd_train::Spread;
 use seepd_train::dataset;
+use seepd_train::leak_range::LeakRange;
 use serde::Serialize;
 
 use crate::cycles::orifice_lpm;
@@ -55,7 +56,7 @@ pub(crate) fn measure(
 ) -> Result<Vec<Limit>, StudyError> {
     let spread = Spread { parameters: Tolerances::even(SPREAD), load: SPREAD, ..Spread::default() };
     let read = |purpose, areas_m2: &[f64]| {
-        let mut machines = dataset::draw(spec, &spread, areas_m2.len(), seed, purpose);
+        let mut machines = dataset::draw(spec, &spread, LeakRange::of(spec), areas_m2.len(), seed, purpose);
         for (machine, area_m2) in machines.iter_mut().zip(areas_m2) {
             machine.leak_area_m2 = *area_m2;
         }

@@ -51,8 +51,14 @@ const SHARE_SMALL: f64 = 0.18;
 /// Draws machines; leak areas are stratified, so that the range is evenly covered at any number.
 ///
 /// `seed` and `purpose` pick the random stream; different purposes share no machine.
-pub fn draw(spec: &MachineSpec, spread: &Spread, count: usize, seed: u64, purpose: u64) -> Vec<Observation> {
-    let leaks = LeakRange::of(spec);
+pub fn draw(
+    spec: &MachineSpec,
+    spread: &Spread,
+    leaks: LeakRange,
+    count: usize,
+    seed: u64,
+    purpose: u64,
+) -> Vec<Observation> {
     (0..count)
         .map(|index| {
             let stream = purpose.wrapping_mul(1 << 32) + index as u64;

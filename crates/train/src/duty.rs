@@ -1,6 +1,6 @@
 //! What the monitor must know of a duty cycle, derived from the machine's own plan.
 
-use seepd_features::segment::MAX_PHASES;
+use seepd_features::segment::{MAX_ANCHORS, MAX_PHASES};
 use seepd_features::{Anchor, DemandMark, PhaseKind};
 use seepd_model::schema::{Cycle, PhaseFile};
 use seepd_sim::MachineSpec;
@@ -25,39 +25,68 @@ const LARGEST_TOLERANCE: f64 = 0.45;
 pub(crate) fn cycle_of(spec: &MachineSpec) -> Result<Cycle, TrainError> {
     let cycle = &spec.cycle;
     let samples = cycle.period_s / spec.controller.log_period_s();
-    let [first, last] = anchoring_moves(spec)?;
-    let waits_s: f64 = cycle.moves[first..last].iter().map(|stroke| stroke.wait_s).sum();
-    let anchor = |index: usize| Anchor {
-        end_s: cycle.moves[index].to_s + SHOULDER_SHARE * cycle.period_s,
-        least_correlation: 0.0,
-        sure_correlation: 1.0,
-        least_deviation: 0.0,
-        template: Vec::new(),
+    let AnchoringMoves { largest, further } = anchoring_moves(spec)?;
+    let mut row: Vec<usize> = largest.iter().chain(&further).copied().collect();
+    row.sort_unstable();
+    // What the machine may wait after the moves from one anchor to the next.
+    let waits_s =
+        |from: usize, to: usize| cycle.moves[from..to].iter().map(|stroke| stroke.wait_s).sum::<f64>();
+    let anchor = |index: &usize| {
+        let before = row.iter().rev().find(|other| *other < index);
+        Anchor {
+            end_s: cycle.moves[*index].to_s + SHOULDER_SHARE * cycle.period_s,
+            least_correlation: 0.0,
+            sure_correlation: 1.0,
+            least_deviation: 0.0,
+            wait_s: before.map_or(0.0, |before| waits_s(*before, *index)),
+            template: Vec::new(),
+        }
+    };
+    let [first, last] = largest;
+    let tolerance = if further.is_empty() {
+        (TOLERANCE + waits_s(first, last) / cycle.period_s).min(LARGEST_TOLERANCE)
+    } else {
+        TOLERANCE
     };
     Ok(Cycle {
         period_s: cycle.period_s,
         bin_samples: (samples / BINS).round().max(1.0) as usize,
-        tolerance: (TOLERANCE + waits_s / cycle.period_s).min(LARGEST_TOLERANCE),
-        anchors: [anchor(first), anchor(last)],
+        tolerance,
+        anchors: [anchor(&first), anchor(&last)],
+        further_anchors: further.iter().map(anchor).collect(),
         demand_mark: Some(demand_mark(spec, &cycle.moves[first])),
-        phases: phases_of(spec, [first, last]),
+        phases: phases_of(spec, &row),
     })
 }
 
-/// Start and end of the windows that the two templates show, s.
-pub(crate) fn template_windows(spec: &MachineSpec) -> Result<[(f64, f64); 2], TrainError> {
+/// Start and end of the windows that the templates show, s: of the two largest moves, then of the further ones.
+pub(crate) fn template_windows(spec: &MachineSpec) -> Result<Vec<(f64, f64)>, TrainError> {
     let shoulder = SHOULDER_SHARE * spec.cycle.period_s;
-    let moves = &spec.cycle.moves;
-    Ok(anchoring_moves(spec)?
-        .map(|index| ((moves[index].from_s - shoulder).max(0.0), moves[index].to_s + shoulder)))
+    let AnchoringMoves { largest, further } = anchoring_moves(spec)?;
+    let window = |index: usize| {
+        let stroke = &spec.cycle.moves[index];
+        ((stroke.from_s - shoulder).max(0.0), stroke.to_s + shoulder)
+    };
+    Ok(largest.into_iter().chain(further).map(window).collect())
 }
 
-/// The largest move out and the largest move back, in time order.
-fn anchoring_moves(spec: &MachineSpec) -> Result<[usize; 2], TrainError> {
+/// Moves by which cycles are found.
+struct AnchoringMoves {
+    /// The largest out and the largest back, in time order.
+    largest: [usize; 2],
+    /// Others, in time order: none where the two tell a cycle.
+    further: Vec<usize>,
+}
+
+/// A cycle of up to so many moves without waits is told by its largest two.
+const FEW_MOVES: usize = 3;
+/// A move below this share of the fastest one's mean speed moves the valve too little to be found by.
+const SLOW_SHARE: f64 = 0.15;
+
+fn anchoring_moves(spec: &MachineSpec) -> Result<AnchoringMoves, TrainError> {
+    let moves = &spec.cycle.moves;
     let mut position = spec.cycle.start_position_m();
-    let lengths: Vec<f64> = spec
-        .cycle
-        .moves
+    let lengths: Vec<f64> = moves
         .iter()
         .map(|stroke| {
             let length = stroke.to_m - position;
@@ -65,6 +94,24 @@ fn anchoring_moves(spec: &MachineSpec) -> Result<[usize; 2], TrainError> {
             length
         })
         .collect();
+    let largest = largest_moves(&lengths)?;
+    let waits = moves[..moves.len() - 1].iter().any(|stroke| stroke.wait_s > 0.0);
+    if moves.len() <= FEW_MOVES && !waits {
+        return Ok(AnchoringMoves { largest, further: Vec::new() });
+    }
+    let speed = |index: usize| (lengths[index] / (moves[index].to_s - moves[index].from_s)).abs();
+    let fastest = (0..moves.len()).map(speed).fold(0.0, f64::max);
+    let mut further: Vec<usize> = (0..moves.len())
+        .filter(|index| !largest.contains(index) && speed(*index) >= SLOW_SHARE * fastest)
+        .collect();
+    further.sort_unstable_by(|a, b| lengths[*b].abs().total_cmp(&lengths[*a].abs()));
+    further.truncate(MAX_ANCHORS - largest.len());
+    further.sort_unstable();
+    Ok(AnchoringMoves { largest, further })
+}
+
+/// The largest move out and the largest move back, in time order.
+fn largest_moves(lengths: &[f64]) -> Result<[usize; 2], TrainError> {
     let largest = |sign: f64| {
         (0..lengths.len())
             .filter(|i| sign * lengths[*i] > 0.0)
@@ -87,7 +134,7 @@ fn demand_mark(spec: &MachineSpec, first: &Move) -> DemandMark {
 
 /// Strokes by their names, holds between them by number; a load step within a hold divides it. Where events end holds between a phase and the
 /// stroke by which it is timed, a hold keeps the part that it has in every cycle, and a stroke whose place is not sure is no phase.
-fn phases_of(spec: &MachineSpec, anchors: [usize; 2]) -> Vec<PhaseFile> {
+fn phases_of(spec: &MachineSpec, anchors: &[usize]) -> Vec<PhaseFile> {
     let cycle = &spec.cycle;
     let mut phases: Vec<PhaseFile> = Vec::new();
     let mut holds = 0;
@@ -130,15 +177,14 @@ const SURE_SHARE: f64 = 0.01;
 /// How far events may shift what is timed by an anchoring stroke.
 struct Shifts<'a> {
     moves: &'a [Move],
-    anchors: [usize; 2],
+    anchors: &'a [usize],
 }
 
 impl Shifts<'_> {
-    /// The anchor by which a part of the cycle is timed: the one whose end is nearer.
+    /// The anchor by which a part of the cycle is timed: the one whose end is nearest.
     fn anchor(&self, from_s: f64, to_s: f64) -> usize {
-        let [first, last] = self.anchors;
-        let far = |index: usize| (0.5 * (from_s + to_s) - self.moves[index].to_s).abs();
-        if far(first) <= far(last) { first } else { last }
+        let far = |index: &&usize| (0.5 * (from_s + to_s) - self.moves[**index].to_s).abs();
+        self.anchors.iter().min_by(|a, b| far(a).total_cmp(&far(b))).copied().unwrap_or_default()
     }
 
     /// Waits after the moves of a range, s.

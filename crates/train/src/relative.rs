@@ -195,7 +195,7 @@ impl PairSimulator<'_> {
         tell: &mut dyn FnMut(usize),
     ) -> Vec<Pair> {
         let per_machine = BASELINE_MOMENTS + cycles;
-        let leaks = LeakRange::of(self.spec);
+        let leaks = self.settings.leaks_of(self.spec);
         let mut pairs = Vec::with_capacity(machines * cycles);
         let portion = 256 / per_machine;
         for from in (0..machines).step_by(portion) {

@@ -36,6 +36,8 @@ pub struct TrainingSettings {
     pub trials: usize,
     /// How machines differ.
     pub spread: Spread,
+    /// Leaks to train for; without, those of a valve of the machine's size.
+    pub leaks: Option<LeakRange>,
     /// Smallest and largest standard deviation of the command's noise in training.
     pub noise: (f64, f64),
     /// Filter.
@@ -62,6 +64,7 @@ impl Default for TrainingSettings {
             held_out: 1024,
             trials: 24,
             spread: Spread::default(),
+            leaks: None,
             noise: (0.001, 0.01),
             filter: Some(Kalman::default()),
             conditions: Conditions::default(),
@@ -71,6 +74,13 @@ impl Default for TrainingSettings {
             noise_table: false,
             most_bytes: 1_000_000,
         }
+    }
+}
+
+impl TrainingSettings {
+    /// The leaks that a machine is trained for.
+    pub(crate) fn leaks_of(&self, spec: &MachineSpec) -> LeakRange {
+        self.leaks.unwrap_or_else(|| LeakRange::of(spec))
     }
 }
 
@@ -160,6 +170,7 @@ mod purpose {
     pub(super) const HELD_OUT: u64 = 3;
     pub(super) const CALIBRATE: u64 = 4;
     pub(super) const BEYOND: u64 = 5;
+    pub(super) const LARGEST: u64 = 6;
 }
 
 /// For so many machines that are learned from there is one more with a leak beyond, by which such leaks are known.
@@ -183,7 +194,8 @@ pub fn train(
     settings: &TrainingSettings,
     tell: &mut dyn FnMut(Stage, usize, usize),
 ) -> Result<Trained, TrainError> {
-    let cycle = with_templates(spec, settings)?;
+    let (cycle, leaks) = recognisable(spec, settings)?;
+    let settings = &TrainingSettings { leaks: Some(leaks), ..settings.clone() };
     let phases = cycle.phase_list();
     let sample_rate_hz = 1.0 / spec.controller.log_period_s();
     // A projection onto nothing, for which cycles are binned: the principal components come of these bins.
@@ -246,14 +258,14 @@ pub fn train(
 
     tell(Stage::Measure, 0, 1);
     let observations =
-        dataset::draw(spec, &settings.spread, settings.held_out, settings.seed, purpose::HELD_OUT);
+        dataset::draw(spec, &settings.spread, leaks, settings.held_out, settings.seed, purpose::HELD_OUT);
     let report = report::measure(&report::Subject {
         model: &model,
         features: &features,
         reading: &reading,
         observations: &observations,
         learned: &learned,
-        leaks: LeakRange::of(spec),
+        leaks,
         params: found.params,
         settings,
     });
@@ -314,8 +326,9 @@ fn learn_set(
     reading: &Reading<'_>,
     tell: &mut dyn FnMut(Stage, usize, usize),
 ) -> Result<Vec<Case>, TrainError> {
+    let leaks = settings.leaks_of(spec);
     let observations =
-        dataset::draw(spec, &settings.spread, settings.observations, settings.seed, purpose::LEARN);
+        dataset::draw(spec, &settings.spread, leaks, settings.observations, settings.seed, purpose::LEARN);
     let mut cases = Vec::with_capacity(observations.len());
     // In portions, for the progress bar.
     for portion in observations.chunks(256) {
@@ -350,13 +363,55 @@ fn log_uniform(noise: &mut Noise, (low, high): (f64, f64)) -> f64 {
     low * libm::pow(high / low, noise.uniform(0.0, 1.0))
 }
 
-/// Fills the two anchors' templates from simulated machines.
-fn with_templates(spec: &MachineSpec, settings: &TrainingSettings) -> Result<Cycle, TrainError> {
+/// The duty cycle with its templates, and the leaks with which it can be followed and recognised.
+fn recognisable(spec: &MachineSpec, settings: &TrainingSettings) -> Result<(Cycle, LeakRange), TrainError> {
+    let mut leaks = settings.leaks_of(spec);
+    loop {
+        let cycle = with_templates(spec, settings, leaks)?;
+        let lowered =
+            if recognises_the_largest(spec, settings, leaks, &cycle) { None } else { leaks.lowered() };
+        match lowered {
+            Some(lower) => leaks = lower,
+            None => return Ok((cycle, leaks)),
+        }
+    }
+}
+
+/// Whether cycles with the largest leaks are recognised, but for what chance leaves out.
+fn recognises_the_largest(
+    spec: &MachineSpec,
+    settings: &TrainingSettings,
+    leaks: LeakRange,
+    cycle: &Cycle,
+) -> bool {
+    let mut observations =
+        dataset::draw(spec, &settings.spread, leaks, TEMPLATE_MACHINES, settings.seed, purpose::LARGEST);
+    for observation in &mut observations {
+        observation.leak_area_m2 = leaks.top_m2();
+    }
+    let phases = cycle.phase_list();
+    let sample_rate_hz = 1.0 / spec.controller.log_period_s();
+    let reading = Reading { cycle, phases: &phases, sample_rate_hz, projections: Projections::NONE };
+    let read = dataset::simulate(&observations, |index, commands| {
+        let mut noise = noise_of(&observations[index], settings);
+        let unit = dataset::unit_noise(&mut noise, commands.len());
+        reading.read(commands, settings.filter, settings.noise.1, &unit).is_some()
+    });
+    let recognised = read.into_iter().filter(|recognised| *recognised).count();
+    recognised * 100 >= observations.len() * 95
+}
+
+/// Fills the anchors' templates from simulated machines.
+fn with_templates(
+    spec: &MachineSpec,
+    settings: &TrainingSettings,
+    leaks: LeakRange,
+) -> Result<Cycle, TrainError> {
     let mut cycle = duty::cycle_of(spec)?;
     let windows = duty::template_windows(spec)?;
     let rate = 1.0 / spec.controller.log_period_s();
     let observations =
-        dataset::draw(spec, &settings.spread, TEMPLATE_MACHINES, settings.seed, purpose::TEMPLATE);
+        dataset::draw(spec, &settings.spread, leaks, TEMPLATE_MACHINES, settings.seed, purpose::TEMPLATE);
     let bin_samples = cycle.bin_samples;
     let shapes: Vec<Shapes> = dataset::simulate(&observations, |index, commands| {
         let mut noise = noise_of(&observations[index], settings);
@@ -376,12 +431,12 @@ fn with_templates(spec: &MachineSpec, settings: &TrainingSettings) -> Result<Cyc
         };
         let at = |at_s: f64| lead + (at_s * rate).round() as usize;
         Shapes {
-            strokes: windows.map(|(from_s, to_s)| binned(at(from_s), at(to_s))),
+            strokes: windows.iter().map(|(from_s, to_s)| binned(at(*from_s), at(*to_s))).collect(),
             cycle: binned(at(0.0), at(spec.cycle.period_s * observations[index].stretch)),
         }
     });
-    for (which, window) in windows.iter().enumerate() {
-        let anchor = &mut cycle.anchors[which];
+    let anchors = cycle.anchors.iter_mut().chain(&mut cycle.further_anchors);
+    for (which, (anchor, window)) in anchors.zip(&windows).enumerate() {
         let centred: Vec<Vec<f64>> = shapes.iter().map(|shape| normalised(&shape.strokes[which])).collect();
         let mean: Vec<f64> =
             (0..centred[0].len()).map(|bin| centred.iter().map(|shape| shape[bin]).sum()).collect();
@@ -413,7 +468,7 @@ fn with_templates(spec: &MachineSpec, settings: &TrainingSettings) -> Result<Cyc
 
 /// A simulated cycle for making templates, in bins.
 struct Shapes {
-    strokes: [Vec<f64>; 2],
+    strokes: Vec<Vec<f64>>,
     cycle: Vec<f64>,
 }
 
@@ -550,8 +605,15 @@ fn calibrate(
     transform: Transform,
 ) -> Result<(Calibration, Vec<TrainingDistribution>), TrainError> {
     let levels = &relative::CALIBRATED_NOISE;
-    let observations =
-        dataset::draw(spec, &settings.spread, settings.calibrated_on, settings.seed, purpose::CALIBRATE);
+    let leaks = settings.leaks_of(spec);
+    let observations = dataset::draw(
+        spec,
+        &settings.spread,
+        leaks,
+        settings.calibrated_on,
+        settings.seed,
+        purpose::CALIBRATE,
+    );
     let read = |observations: &[Observation]| {
         dataset::simulate(observations, |index, commands| {
             let case = (&observations[index], commands);
@@ -560,8 +622,7 @@ fn calibrate(
     };
     let readings = read(&observations);
     let count = settings.observations / LEARNED_TO_BEYOND;
-    let mut beyond = dataset::draw(spec, &settings.spread, count, settings.seed, purpose::BEYOND);
-    let leaks = LeakRange::of(spec);
+    let mut beyond = dataset::draw(spec, &settings.spread, leaks, count, settings.seed, purpose::BEYOND);
     for (index, observation) in beyond.iter_mut().enumerate() {
         observation.leak_area_m2 = leaks.beyond_m2(index as f64 / count as f64);
     }

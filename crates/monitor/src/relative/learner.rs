@@ -184,6 +184,7 @@ pub(super) fn test_cycle(phases: usize) -> (Cycle, f64) {
         least_correlation: 0.8,
         sure_correlation: 1.0,
         least_deviation: 0.01,
+        wait_s: 0.0,
         template: vec![-0.5, 0.5, 0.5, -0.5],
     };
     let part = |index: usize| PhaseFile {
@@ -197,6 +198,7 @@ pub(super) fn test_cycle(phases: usize) -> (Cycle, f64) {
         bin_samples: 50,
         tolerance: 0.08,
         anchors: [anchor(2.0), anchor(7.0)],
+        further_anchors: Vec::new(),
         demand_mark: None,
         phases: (0..phases).map(part).collect(),
     };

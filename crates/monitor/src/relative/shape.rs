@@ -62,6 +62,7 @@ pub(crate) fn cycle_of(pattern: &Pattern) -> Result<Cycle, RelativeError> {
         bin_samples,
         tolerance: TOLERANCE,
         anchors,
+        further_anchors: Vec::new(),
         demand_mark: None,
         phases,
     })
@@ -176,6 +177,7 @@ impl MeanCycle {
             // A better match may always follow: strokes of other machines may be alike.
             sure_correlation: 1.0,
             least_deviation: DEVIATION_SHARE * (squares / count as f64).sqrt(),
+            wait_s: 0.0,
             template: shape.into_iter().map(|value| ((value - mean) / scale) as f32).collect(),
         }
     }
