@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use seepd_gap::{Calibration, CalibrationSettings, Log, Record, RecordError, calibrate};
 use seepd_signals::Signal;
 use seepd_sim::{MachineSpec, SpecError};
+use seepd_train::UnknownLoad;
 
 use crate::controller::{FittedGains, fit_gains};
 use crate::drive::{
@@ -13,6 +14,7 @@ use crate::drive::{
 use crate::duty_cycle::FoundCycle;
 use crate::machine_data::MachineData;
 use crate::plant::{DataError, DescribedPlant, LoggedSize, Origin, PlantValue, describe};
+use crate::process_force::{self, ProcessForce};
 use crate::recording::Recording;
 use crate::strokes::{noise_of, quantile, range, slope};
 
@@ -58,6 +60,8 @@ pub struct Adoption {
     pub noise: f64,
     /// Standard deviation of the load from cycle to cycle, share of its range; `None` where the log has no load.
     pub load_spread: Option<f64>,
+    /// What may press against the piston unknown.
+    pub unknown_load: Option<UnknownLoad>,
     /// What to know, one line each.
     pub remarks: Vec<String>,
 }
@@ -192,14 +196,26 @@ impl Adopter<'_> {
         let mut spec = spec.with_stable_steps();
         spec.check()?;
         let mut values = self.described.values.clone();
-        let calibration = if position.is_some() { Some(self.calibrated(&spec, offset_m)?) } else { None };
-        if let Some(calibration) = calibration.as_ref().filter(|calibration| self.is_better(calibration)) {
-            spec = learned(calibration, &mut values);
+        let mut calibration = None;
+        if position.is_some() {
+            (spec, calibration) = self.fitted(spec, offset_m, &mut values)?;
+            if let Some(found) = self.unknown_force(&spec, &command) {
+                let mut loaded = spec.clone();
+                loaded.cycle.load = found.load;
+                let mut refitted = values.clone();
+                let (loaded, again) = self.fitted(loaded, offset_m, &mut refitted)?;
+                // Forces that bring the whole cycle no nearer were none.
+                if command_gap(again.as_ref()) < command_gap(calibration.as_ref()) {
+                    (spec, values, calibration) = (loaded, refitted, again);
+                    self.remarks.push(format!(
+                        "the log has no load; {:.0} % of what the strokes' command had left is explained by {}",
+                        100.0 * (1.0 - found.left),
+                        found.words
+                    ));
+                }
+            }
         }
-        let of_command = |calibration: &Calibration<MachineSpec>| {
-            calibration.gaps[1].get(Signal::Command.name()).copied().unwrap_or(f64::NAN)
-        };
-        let rest = calibration.as_ref().map(of_command).or(asked.rest).unwrap_or(0.0);
+        let rest = command_gap(calibration.as_ref()).or(asked.rest).unwrap_or(0.0);
         if rest.is_nan() || rest > UNLIKE {
             return Err(AdoptionError::Unlike { percent: 100.0 * rest });
         }
@@ -207,6 +223,7 @@ impl Adopter<'_> {
         Ok(Adoption {
             noise: self.recording.log.get(Signal::Command).map_or(0.0, noise_of),
             load_spread: self.load_spread(),
+            unknown_load: self.unknown_load(origin),
             spec: spec.with_stable_steps(),
             values,
             gains,
@@ -283,6 +300,30 @@ impl Adopter<'_> {
         }
     }
 
+    /// The machine as calibration leaves it, with the values that it found.
+    fn fitted(
+        &mut self,
+        spec: MachineSpec,
+        offset_m: f64,
+        values: &mut BTreeMap<&'static str, PlantValue>,
+    ) -> Result<(MachineSpec, Option<Calibration<MachineSpec>>), AdoptionError> {
+        let calibration = self.calibrated(&spec, offset_m)?;
+        if !self.is_better(&calibration) {
+            return Ok((spec, Some(calibration)));
+        }
+        *values = self.described.values.clone();
+        Ok((learned(&calibration, values), Some(calibration)))
+    }
+
+    /// What the strokes work against, where the log has no load.
+    fn unknown_force(&self, spec: &MachineSpec, command: &[f64]) -> Option<ProcessForce> {
+        if self.recording.log.get(Signal::Load).is_some() {
+            None
+        } else {
+            process_force::read_off(spec, command)
+        }
+    }
+
     /// Fits the plant to the log's cycles, each laid on the plan.
     fn calibrated(
         &self,
@@ -300,7 +341,7 @@ impl Adopter<'_> {
         let record = Record::new(&self.laid_on_plan(&spec, offset_m), &spec)?;
         // A leak and a shifted null look alike in a command. The log is of a healthy machine; what stands in its holds is the valve's.
         let mut effects = vec!["valve_bias".to_owned(), "coulomb_friction".to_owned()];
-        if spec.effects.contains_key("valve_deadband") {
+        if spec.effects.contains_key("valve_deadband") || !self.described.knows_overlap {
             effects.push("valve_deadband".to_owned());
         }
         let settings = CalibrationSettings { iterations: ITERATIONS, wear: false, effects };
@@ -353,6 +394,15 @@ impl Adopter<'_> {
         is_better
     }
 
+    /// What may press against the piston without the log or its fit showing it.
+    fn unknown_load(&self, demand: DemandOrigin) -> Option<UnknownLoad> {
+        match demand {
+            _ if self.recording.log.get(Signal::Load).is_some() => None,
+            DemandOrigin::Command => Some(UnknownLoad::ContactOrProcess),
+            DemandOrigin::Log | DemandOrigin::Position => Some(UnknownLoad::Contact),
+        }
+    }
+
     fn load_spread(&self) -> Option<f64> {
         let values = self.recording.log.get(Signal::Load)?;
         let largest = range(values);
@@ -377,6 +427,11 @@ fn room_of(value: &PlantValue) -> f64 {
         _ if value.tolerance >= 1.0 => 4.0,
         _ => 1.0 + 2.0 * value.tolerance,
     }
+}
+
+/// How far the calibrated simulation's command is from the log's on held-out cycles, over its range.
+fn command_gap(calibration: Option<&Calibration<MachineSpec>>) -> Option<f64> {
+    Some(calibration?.gaps[1].get(Signal::Command.name()).copied().unwrap_or(f64::NAN))
 }
 
 /// Takes the fitted parameters and how well the log tells them; gives the machine without its leak.

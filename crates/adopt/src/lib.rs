@@ -6,6 +6,7 @@ pub mod drive;
 pub mod duty_cycle;
 pub mod machine_data;
 pub mod plant;
+pub mod process_force;
 pub mod recording;
 pub mod signals;
 pub mod strokes;

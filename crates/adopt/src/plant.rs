@@ -95,6 +95,8 @@ pub struct DescribedPlant {
     pub spec: MachineSpec,
     /// How well each of the plant's parameters is known, by key.
     pub values: BTreeMap<&'static str, PlantValue>,
+    /// Whether the user said how far the valve's lands overlap.
+    pub knows_overlap: bool,
     /// Weight of the moved mass, N, positive in the extending direction.
     pub weight_n: f64,
     /// Whether the user gave the controller's gains.
@@ -205,6 +207,7 @@ pub fn describe(data: &MachineData, logged: &LoggedSize) -> Result<DescribedPlan
     Ok(DescribedPlant {
         spec: describer.spec,
         values: describer.values,
+        knows_overlap: data.valve.overlap_percent.is_some(),
         weight_n,
         has_gains: c.kp_per_m.is_some(),
         integrates: c.kind.map(|kind| kind != ControllerKind::P).or(c.ki_per_m_s.map(|ki| ki.value() > 0.0)),
@@ -381,9 +384,10 @@ impl Describer {
                 self.usual(key, scale * nominal.valve_m3_per_s_sqrt_pa);
             }
         }
-        if let Some(overlap) =
-            valve.overlap_percent.map(|overlap| overlap.value() / 100.0).filter(|half| *half > 0.0)
-        {
+        let share = |percent: Option<Datum>| percent.map(|percent| percent.value() / 100.0);
+        // Who has the controller step over a dead band has one, of about that width.
+        let overlap = share(valve.overlap_percent).or(share(data.controller.dead_band_compensation_percent));
+        if let Some(overlap) = overlap.filter(|half| *half > 0.0) {
             if overlap > WIDEST_OVERLAP {
                 self.remarks.push(format!(
                     "an overlap of {:.0} % is beyond the plant's widest dead band; {:.0} % is taken",

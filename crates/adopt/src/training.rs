@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use seepd_features::Kalman;
 use seepd_sim::MachineSpec;
 use seepd_sim::series::Tolerances;
-use seepd_train::{Conditions, Spread, TrainingSettings};
+use seepd_train::{Conditions, Spread, TrainingSettings, UnknownLoad};
 use serde::{Deserialize, Serialize};
 
 use crate::adoption::Adoption;
@@ -38,6 +38,9 @@ pub struct TrainingBasis {
     pub noise: f64,
     /// Standard deviation of the load from cycle to cycle, share of its range, where the log has a load.
     pub load_spread: Option<f64>,
+    /// What may press against the piston unknown, where the log has no load.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unknown_load: Option<UnknownLoad>,
     /// How much the period varies, half of what nine of ten cycles lie between, share.
     pub period_spread: f64,
 }
@@ -49,6 +52,7 @@ impl TrainingBasis {
             tolerances: adoption.tolerances(),
             noise: adoption.noise,
             load_spread: adoption.load_spread,
+            unknown_load: adoption.unknown_load,
             period_spread: 0.5 * found.period.spread_s() / found.period_s,
         }
     }
@@ -70,13 +74,14 @@ impl TrainingBasis {
             relative_machines: count(usual.relative_machines).max(160),
             calibrated_on: count(usual.calibrated_on).max(512),
             tested_on: count(usual.tested_on).max(128),
-            spread: Spread { parameters: tolerances.clone(), load, period },
+            spread: Spread { parameters: tolerances.clone(), load, period, unknown_load: self.unknown_load },
             noise: ((noise / NOISE_ROOM).max(1e-4), (noise * NOISE_ROOM).max(0.003)),
             filter: Some(filter(spec.cycle.period_s, c.log_period_s())),
             conditions: Conditions {
                 parameters: tolerances,
                 machine_load: load,
                 period,
+                unknown_load: self.unknown_load,
                 ..Conditions::default()
             },
             ..usual

@@ -11,6 +11,7 @@ use seepd_sim::noise::Noise;
 use seepd_sim::series::{self, Tolerances};
 
 use crate::leak_range::LeakRange;
+use crate::unknown_load::UnknownLoad;
 
 /// How simulated machines differ from the plan.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,11 +22,13 @@ pub struct Spread {
     pub load: f64,
     /// The duty cycle's time is scaled within ± this share.
     pub period: f64,
+    /// Forces that nobody knows of.
+    pub unknown_load: Option<UnknownLoad>,
 }
 
 impl Default for Spread {
     fn default() -> Self {
-        Spread { parameters: Tolerances::even(0.05), load: 0.05, period: 0.03 }
+        Spread { parameters: Tolerances::even(0.05), load: 0.05, period: 0.03, unknown_load: None }
     }
 }
 
@@ -63,7 +66,10 @@ pub fn draw(
         .map(|index| {
             let stream = purpose.wrapping_mul(1 << 32) + index as u64;
             let mut noise = Noise::new(seed, stream);
-            let varied = series::vary(spec, &spread.parameters, &mut noise);
+            let mut varied = series::vary(spec, &spread.parameters, &mut noise);
+            if let Some(unknown) = spread.unknown_load {
+                unknown.put_on(&mut varied, &mut noise);
+            }
             let load_factor = noise.factor(spread.load);
             let stretch = noise.factor(spread.period);
             let rank = (index as f64 + noise.uniform(0.0, 1.0)) / count as f64;

@@ -12,9 +12,11 @@ pub mod relative;
 pub mod report;
 mod search;
 pub mod train;
+mod unknown_load;
 
 pub use dataset::Spread;
 pub use relative::{Conditions, RelativeReport};
 pub use report::Report;
 pub use search::BestForest;
 pub use train::{TrainError, Trained, TrainingSettings, train};
+pub use unknown_load::UnknownLoad;

@@ -1,0 +1,432 @@
+//! What presses against the piston where the log has no load: read off the command of its strokes.
+//!
+//! A force changes the pressures at the valve, and so the command that a stroke takes; a hold says little of it, where leakages that nobody
+//! knows decide. Few explanations are tried, each with few unknowns: a weight that is another, a process that presses against the moves
+//! out, a contact that the piston runs into, and last a force of its own for each move. Gauss and Newton fit each to the mean cycle;
+//! which one is taken, if any, Schwarz's criterion says (Annals of Statistics 6 (1978)).
+
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+use seepd_sim::batch::{self, Job};
+use seepd_sim::cycle::{CycleRun, LoadCorner, Move};
+use seepd_sim::{DutyCycle, MachineSpec};
+
+use crate::strokes::slope;
+
+/// Shares of a move's time between which a force grows: with the stroke, at its end, or all along.
+const SHAPES: [(f64, f64); 3] = [(0.0, 0.3), (0.8, 1.0), (0.0, 1.0)];
+/// How deep a contact is, share of the cycle's way, and points by which its force's course is given.
+const DEPTHS: [f64; 5] = [0.02, 0.035, 0.05, 0.07, 0.1];
+const CONTACT_POINTS: usize = 12;
+/// Usual size of an unknown force, and the largest that is believed, shares of the piston's largest.
+const USUAL: f64 = 0.25;
+const LARGEST: f64 = 0.8;
+/// How well a weight is known: its own share, and a share of the piston's largest force.
+const OF_THE_WEIGHT: f64 = 0.2;
+const OF_THE_PISTON: f64 = 0.01;
+/// Step of the derivatives, share of the piston's largest force.
+const STEP: f64 = 0.03;
+const ITERATIONS: usize = 3;
+/// The rest of a stroke's command is worth so many independent values.
+const WORTH: f64 = 10.0;
+/// Least rest of the command that is told from none, share of its range.
+const LEAST_REST: f64 = 0.001;
+/// An explanation is worth taking from this advantage by Schwarz's criterion on: strong evidence by the usual scale (Kass, Raftery, 1995).
+const STRONG: f64 = 10.0;
+/// Samples of a stroke at most.
+const SAMPLES: usize = 200;
+
+/// Forces that explain the command.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ProcessForce {
+    /// What acts, in words.
+    pub words: String,
+    /// The load with it, in time order.
+    pub load: Vec<LoadCorner>,
+    /// RMS of the strokes' command that is left, over what was left without it.
+    pub left: f64,
+}
+
+/// What a machine's moves work against, from the mean command of its planned cycle, by tick; `None` where nothing explains the strokes
+/// much better than the load that the plan has.
+pub fn read_off(spec: &MachineSpec, command: &[f64]) -> Option<ProcessForce> {
+    let problem = Problem::new(spec, command)?;
+    let plain_rest = problem
+        .rests(&Explanation::NONE, &[vec![0.0; CONSTANT_AND_FRICTION]])
+        .pop()
+        .map(|rest| rms(&rest))?;
+    let fitted: Vec<Fitted> = explanations(&spec.cycle)
+        .into_par_iter()
+        .filter_map(|explanation| problem.fitted(explanation))
+        .collect();
+    // The simpler explanation stands until a richer one is much better.
+    let mut taken: Option<&Fitted> = None;
+    for richness in 0..=MOST_RICH {
+        let alike = fitted.iter().filter(|fitted| fitted.explanation.richness() == richness);
+        let best = alike.min_by(|a, b| a.criterion.total_cmp(&b.criterion));
+        if let Some(best) =
+            best.filter(|best| taken.is_none_or(|taken| taken.criterion - best.criterion > STRONG))
+        {
+            taken = Some(best);
+        }
+    }
+    taken.filter(|taken| taken.explanation.richness() > 0).map(|best| ProcessForce {
+        words: best.explanation.words.with(&best.forces_n),
+        load: problem.load(&best.explanation, &best.forces_n, false),
+        left: best.rest / plain_rest,
+    })
+}
+
+/// Forces of every explanation: a constant one, as a weight that is another would be, and a friction.
+const CONSTANT_AND_FRICTION: usize = 2;
+/// Largest [`Explanation::richness`].
+const MOST_RICH: usize = 2;
+
+/// How an explanation is told.
+#[derive(Debug, Clone, PartialEq)]
+enum Words {
+    Weight,
+    Process,
+    Contact { at_m: f64 },
+    EachMove(Vec<String>),
+}
+
+impl Words {
+    fn with(&self, forces_n: &[f64]) -> String {
+        let force = |index: usize| 1e-3 * forces_n.get(index).copied().unwrap_or(0.0);
+        match self {
+            Words::Weight => format!("a constant force of {:+.1} kN", force(0)),
+            Words::Process => {
+                format!("a force of {:+.1} kN on the moves out, until the next move back", force(2))
+            }
+            Words::Contact { at_m } => {
+                format!(
+                    "a contact from {:.1} mm on that gives way, with {:.1} kN at the deepest",
+                    1e3 * at_m,
+                    -force(2)
+                )
+            }
+            Words::EachMove(names) => {
+                let each = names
+                    .iter()
+                    .enumerate()
+                    .map(|(index, name)| format!("{name} {:+.1} kN", force(index + 2)));
+                format!("a force of its own for each move: {}", each.collect::<Vec<_>>().join(", "))
+            }
+        }
+    }
+}
+
+/// Courses of force over the cycle, each 1 at its largest, beside a constant one and the friction's.
+#[derive(Debug, Clone)]
+struct Explanation {
+    words: Words,
+    profiles: Vec<Vec<LoadCorner>>,
+}
+
+impl Explanation {
+    const NONE: Explanation = Explanation { words: Words::Weight, profiles: Vec::new() };
+
+    /// How much it may explain: no force, one that a machine of its kind has, or any.
+    fn richness(&self) -> usize {
+        match self.words {
+            Words::Weight => 0,
+            Words::Process | Words::Contact { .. } => 1,
+            Words::EachMove(_) => MOST_RICH,
+        }
+    }
+}
+
+fn explanations(cycle: &DutyCycle) -> Vec<Explanation> {
+    let moves = &cycle.moves;
+    let starts: Vec<f64> = (0..moves.len())
+        .map(|index| if index == 0 { cycle.start_position_m() } else { moves[index - 1].to_m })
+        .collect();
+    let out: Vec<f64> = moves
+        .iter()
+        .zip(&starts)
+        .map(|(stroke, start_m)| f64::from(u8::from(stroke.to_m > *start_m)))
+        .collect();
+    let mut all = vec![Explanation::NONE];
+    for shape in SHAPES {
+        all.push(Explanation { words: Words::Process, profiles: vec![lasting(moves, shape, &out)] });
+    }
+    let ends = moves.iter().map(|stroke| stroke.to_m);
+    let (low, high) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
+    for depth in DEPTHS {
+        let at_m = high - depth * (high - low);
+        all.push(Explanation { words: Words::Contact { at_m }, profiles: vec![contact(cycle, at_m, high)] });
+    }
+    // Of two moves a weight and a friction are all that there is to tell apart.
+    if moves.len() > 2 {
+        for shape in SHAPES {
+            let one = |index: usize| -> Vec<f64> {
+                (0..moves.len()).map(|k| f64::from(u8::from(k == index))).collect()
+            };
+            let profiles = (0..moves.len()).map(|index| lasting(moves, shape, &one(index))).collect();
+            let names = moves.iter().map(|stroke| stroke.name.clone()).collect();
+            all.push(Explanation { words: Words::EachMove(names), profiles });
+        }
+    }
+    all
+}
+
+/// A force that each move brings to a level of its own, which lasts until the next one.
+fn lasting(moves: &[Move], (begins, ends): (f64, f64), levels: &[f64]) -> Vec<LoadCorner> {
+    let mut before = levels.last().copied().unwrap_or(0.0);
+    let mut corners = vec![LoadCorner { at_s: 0.0, force_n: before }];
+    for (stroke, level) in moves.iter().zip(levels) {
+        let at = |share: f64| stroke.from_s + share * (stroke.to_s - stroke.from_s);
+        corners.push(LoadCorner { at_s: at(begins), force_n: before });
+        corners.push(LoadCorner { at_s: at(ends), force_n: *level });
+        before = *level;
+    }
+    corners.dedup_by(|later, earlier| later.at_s <= earlier.at_s);
+    corners
+}
+
+/// The force of a contact that gives way in proportion, against the piston, over the planned positions.
+fn contact(cycle: &DutyCycle, at_m: f64, deepest_m: f64) -> Vec<LoadCorner> {
+    let pressed = |x: f64| -(x - at_m).max(0.0) / (deepest_m - at_m).max(f64::MIN_POSITIVE);
+    let mut corners = vec![LoadCorner { at_s: 0.0, force_n: pressed(cycle.demand_m(0.0)) }];
+    for stroke in &cycle.moves {
+        let step_s = (stroke.to_s - stroke.from_s) / 200.0;
+        let times: Vec<f64> = (0..=200).map(|k| stroke.from_s + step_s * f64::from(k)).collect();
+        let touching: Vec<f64> =
+            times.iter().copied().filter(|at_s| pressed(cycle.demand_m(*at_s)) < 0.0).collect();
+        let every = touching.len().div_ceil(CONTACT_POINTS).max(1);
+        let (Some(first), Some(last)) = (touching.first(), touching.last()) else { continue };
+        let edges = [first - step_s, last + step_s].map(|at_s| at_s.clamp(stroke.from_s, stroke.to_s));
+        let inner = touching.iter().copied().step_by(every);
+        let mut times: Vec<f64> = inner.chain(edges).collect();
+        times.sort_by(f64::total_cmp);
+        corners.extend(
+            times.into_iter().map(|at_s| LoadCorner { at_s, force_n: pressed(cycle.demand_m(at_s)) }),
+        );
+    }
+    corners.dedup_by(|later, earlier| later.at_s <= earlier.at_s);
+    corners
+}
+
+/// An explanation with its forces.
+struct Fitted {
+    explanation: Explanation,
+    /// The constant force beside the plan's, then one for each profile, N.
+    forces_n: Vec<f64>,
+    /// RMS of what is left.
+    rest: f64,
+    /// Schwarz's criterion: the smaller, the better.
+    criterion: f64,
+}
+
+struct Problem<'a> {
+    spec: &'a MachineSpec,
+    command: &'a [f64],
+    ticks: Vec<usize>,
+    /// Directions in which the rest says nothing of a force: another null, another moment.
+    nuisances: Vec<DVector<f64>>,
+    constant_n: f64,
+    friction: Vec<LoadCorner>,
+    largest_n: f64,
+    /// Least rest that is told from none.
+    least: f64,
+}
+
+impl<'a> Problem<'a> {
+    fn new(spec: &'a MachineSpec, command: &'a [f64]) -> Option<Self> {
+        let ticks = stroke_ticks(spec, command.len().checked_sub(2)?);
+        let (low, high) =
+            command.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), u| (l.min(*u), h.max(*u)));
+        let ones = DVector::from_element(ticks.len(), 1.0);
+        let slopes = DVector::from_iterator(ticks.len(), ticks.iter().map(|tick| slope(command, *tick)));
+        let mean = slopes.mean();
+        let nuisances =
+            [ones, slopes.add_scalar(-mean)].into_iter().filter_map(|v| v.try_normalize(1e-12)).collect();
+        (!ticks.is_empty() && high > low).then(|| Problem {
+            spec,
+            command,
+            ticks,
+            nuisances,
+            constant_n: spec.cycle.load.first().map_or(0.0, |corner| corner.force_n),
+            friction: friction(&spec.cycle),
+            largest_n: spec.plant.cap_area_m2 * spec.plant.relief_pressure_pa,
+            least: LEAST_REST * (high - low),
+        })
+    }
+
+    /// The load under an explanation with those forces, and with its friction where the simulation has to have it as a load.
+    fn load(&self, explanation: &Explanation, forces_n: &[f64], with_friction: bool) -> Vec<LoadCorner> {
+        let friction = with_friction.then_some(&self.friction);
+        let courses = explanation.profiles.iter().chain(friction);
+        let mut times: Vec<f64> = courses.flatten().map(|corner| corner.at_s).chain([0.0]).collect();
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        let of = |profile: &Vec<LoadCorner>| DutyCycle { load: profile.clone(), ..DutyCycle::default() };
+        let profiles: Vec<DutyCycle> = explanation.profiles.iter().map(of).collect();
+        let friction = friction.map(of);
+        let force_n = |at_s: f64| {
+            let courses = profiles.iter().zip(&forces_n[CONSTANT_AND_FRICTION..]);
+            self.constant_n
+                + forces_n[0]
+                + friction.as_ref().map_or(0.0, |friction| forces_n[1] * friction.load_n(at_s))
+                + courses.map(|(profile, size_n)| size_n * profile.load_n(at_s)).sum::<f64>()
+        };
+        times.into_iter().map(|at_s| LoadCorner { at_s, force_n: force_n(at_s) }).collect()
+    }
+
+    /// What the simulated machine's second cycle leaves of the strokes' command under each set of forces, but for the nuisances.
+    fn rests(&self, explanation: &Explanation, tried: &[Vec<f64>]) -> Vec<DVector<f64>> {
+        let period = self.command.len() as u64;
+        let job = |forces_n: &Vec<f64>| {
+            let mut spec = self.spec.clone();
+            spec.cycle.load = self.load(explanation, forces_n, true);
+            let runs = vec![CycleRun::with_leak(0.0)];
+            Job { spec, runs, start_tick: 0, skip_ticks: period, record_ticks: period }
+        };
+        let jobs: Vec<Job> = tried.iter().map(job).collect();
+        batch::commands(&jobs, |_, commands| {
+            let rest = self.ticks.iter().map(|tick| self.command[*tick] - commands[*tick]);
+            let rest = DVector::from_iterator(self.ticks.len(), rest);
+            self.nuisances.iter().fold(rest, |rest, nuisance| &rest - nuisance * nuisance.dot(&rest))
+        })
+    }
+
+    /// Deviations that are usual for the forces of an explanation, N.
+    fn usual_n(&self, explanation: &Explanation) -> Vec<f64> {
+        let weight_n = OF_THE_WEIGHT * self.constant_n.abs() + OF_THE_PISTON * self.largest_n;
+        let friction_n = OF_THE_PISTON * self.largest_n;
+        let usual_n = explanation.profiles.iter().map(|_| USUAL * self.largest_n);
+        [weight_n, friction_n].into_iter().chain(usual_n).collect()
+    }
+
+    fn fitted(&self, explanation: Explanation) -> Option<Fitted> {
+        let usual_n = self.usual_n(&explanation);
+        let step_n = STEP * self.largest_n;
+        let worth = WORTH * self.spec.cycle.moves.len() as f64;
+        let mut forces_n = DVector::zeros(usual_n.len());
+        let mut best: Option<(Vec<f64>, f64)> = None;
+        for iteration in 0..=ITERATIONS {
+            let mut tried = vec![forces_n.as_slice().to_vec()];
+            if iteration < ITERATIONS {
+                tried.extend((0..usual_n.len()).map(|index| {
+                    let mut stepped: Vec<f64> = forces_n.as_slice().to_vec();
+                    stepped[index] += step_n;
+                    stepped
+                }));
+            }
+            let mut rests = self.rests(&explanation, &tried).into_iter();
+            let rest = rests.next()?;
+            let size = rms(&rest).max(self.least);
+            if size.is_finite() && best.as_ref().is_none_or(|(_, least)| size < *least) {
+                best = Some((forces_n.as_slice().to_vec(), size));
+            }
+            let columns: Vec<DVector<f64>> = rests.map(|stepped| (&rest - stepped) / step_n).collect();
+            if columns.is_empty() {
+                break;
+            }
+            let jacobian = DMatrix::from_columns(&columns);
+            let weight = worth / (rest.len() as f64 * size * size);
+            let mut normal = weight * jacobian.tr_mul(&jacobian);
+            let mut gradient = weight * jacobian.tr_mul(&rest);
+            for (index, usual_n) in usual_n.iter().enumerate() {
+                normal[(index, index)] += 1.0 / (usual_n * usual_n);
+                gradient[index] -= forces_n[index] / (usual_n * usual_n);
+            }
+            forces_n += normal.cholesky()?.solve(&gradient);
+            let most = LARGEST * self.largest_n;
+            forces_n.iter_mut().for_each(|force_n| *force_n = force_n.clamp(-most, most));
+        }
+        let (forces_n, rest) = best?;
+        let criterion = 2.0 * worth * rest.ln() + explanation.profiles.len() as f64 * worth.ln();
+        Some(Fitted { explanation, forces_n, rest, criterion })
+    }
+}
+
+/// A force of 1 N against each move while it lasts, as friction is.
+fn friction(cycle: &DutyCycle) -> Vec<LoadCorner> {
+    let mut before_m = cycle.start_position_m();
+    let mut corners = vec![LoadCorner { at_s: 0.0, force_n: 0.0 }];
+    for stroke in &cycle.moves {
+        let against = (before_m - stroke.to_m).signum();
+        let courses = [(0.0, 0.0), (EDGE, against), (1.0 - EDGE, against), (1.0, 0.0)];
+        let at = |share: f64| stroke.from_s + share * (stroke.to_s - stroke.from_s);
+        corners.extend(courses.map(|(share, force_n)| LoadCorner { at_s: at(share), force_n }));
+        before_m = stroke.to_m;
+    }
+    corners.dedup_by(|later, earlier| later.at_s <= earlier.at_s);
+    corners
+}
+
+/// Share of a move's time in which its friction comes and goes.
+const EDGE: f64 = 0.05;
+
+/// Ticks of the strokes, below `end`.
+fn stroke_ticks(spec: &MachineSpec, end: usize) -> Vec<usize> {
+    let tick_s = spec.controller.period_s;
+    let of = |stroke: &Move| {
+        let (from, to) =
+            (((stroke.from_s / tick_s) as usize).max(1), ((stroke.to_s / tick_s) as usize).min(end));
+        (from..to).step_by((to.saturating_sub(from) / SAMPLES).max(1))
+    };
+    spec.cycle.moves.iter().flat_map(of).collect()
+}
+
+fn rms(rest: &DVector<f64>) -> f64 {
+    (rest.norm_squared() / rest.len().max(1) as f64).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A press whose log has no load: what presses while it extends and holds is read off its command within a tenth, and a machine
+    /// without a force gets none.
+    #[test]
+    fn a_force_that_the_log_does_not_have_is_read_off_the_command() {
+        let mut spec = MachineSpec::default();
+        // A softer line takes longer steps.
+        spec.plant.inlet_volume_m3 *= 4.0;
+        spec.controller.steps_per_period = 3;
+        spec.cycle.load = vec![LoadCorner { at_s: 0.0, force_n: -2e3 }];
+        let command_of = |load: Vec<LoadCorner>| -> Vec<f64> {
+            let mut machine = spec.clone();
+            machine.cycle.load = load;
+            let job = Job {
+                spec: machine,
+                runs: vec![CycleRun::with_leak(0.0)],
+                start_tick: 0,
+                skip_ticks: 10_000,
+                record_ticks: 10_000,
+            };
+            batch::commands(&[job], |_, commands| commands.to_vec()).remove(0)
+        };
+        assert_eq!(read_off(&spec, &command_of(spec.cycle.load.clone())), None);
+
+        let corner = |at_s, force_n| LoadCorner { at_s, force_n };
+        // It grows over the first third of `extend` and of `press`, and is gone with the first third of `retract`.
+        let pressed = vec![
+            corner(0.5, -2e3),
+            corner(1.1, -12e3),
+            corner(3.0, -12e3),
+            corner(3.3, -18e3),
+            corner(6.0, -18e3),
+            corner(6.75, -2e3),
+        ];
+        let found = read_off(&spec, &command_of(pressed)).unwrap();
+        assert!(found.left < 0.3 && found.words.contains("each move"), "{found:?}");
+        let found = DutyCycle { load: found.load, ..DutyCycle::default() };
+        for (at_s, wanted_n) in [(0.2, -2e3), (2.7, -12e3), (5.0, -18e3), (9.0, -2e3)] {
+            assert!((found.load_n(at_s) - wanted_n).abs() < 1200.0, "{at_s}: {}", found.load_n(at_s));
+        }
+
+        // The tool meets its work 10 mm before the deepest place, which gives way by 1 kN a millimetre.
+        let touching: Vec<LoadCorner> = (0..=1000)
+            .map(|k| 0.01 * f64::from(k))
+            .map(|at_s| corner(at_s, -2e3 - 1e6 * (spec.cycle.demand_m(at_s) - 0.37).max(0.0)))
+            .collect();
+        let found = read_off(&spec, &command_of(touching)).unwrap();
+        assert!(found.words.starts_with("a contact from 37"), "{found:?}");
+        let deepest_n = DutyCycle { load: found.load, ..DutyCycle::default() }.load_n(5.0);
+        assert!((deepest_n + 12e3).abs() < 1500.0, "{deepest_n}");
+    }
+}
