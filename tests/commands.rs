@@ -47,6 +47,17 @@ fn replay_estimates_what_simulate_planted() {
     assert!(estimates(&replay(&log, &[])).iter().all(|area| *area < 3e-8));
 }
 
+/// A plant whose controller is faster than its log is simulated at the log's rate.
+#[test]
+fn simulate_writes_what_the_plants_log_would_have() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, plant) = (folder.path().join("log.mcap"), folder.path().join("plant.toml"));
+    std::fs::write(&plant, "[controller]\nlog_every = 4\n").unwrap();
+    simulate(&log, &["--cycles", "2", "--plant", plant.to_str().unwrap()]);
+    let told = stderr(&seepd(["replay", log.to_str().unwrap()]));
+    assert!(told.contains("comes at 250.0 Hz"), "{told}");
+}
+
 #[test]
 fn replay_lines_follow_the_contract() {
     let folder = tempfile::tempdir().unwrap();

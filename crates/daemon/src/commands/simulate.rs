@@ -336,6 +336,7 @@ pub fn write_log(
     let mut state = machine.start();
     let mut run = 0;
     let period_s = spec.controller.period_s;
+    let log_every = spec.controller.log_every.max(1) as u64;
     let schedule = Schedule::new(&spec.cycle, period_s, runs.to_vec());
     let warm_up = schedule.ticks_of(0);
     let start_at = check("--start-at", arguments.start_at, 0.0, spec.cycle.period_s)?;
@@ -351,7 +352,7 @@ pub fn write_log(
         }
         let record = machine.tick(&mut state, &Input::gather(&[sample]));
         let noisy = record.command + noise.normal(arguments.noise);
-        if tick < skipped {
+        if tick < skipped || !(tick - skipped).is_multiple_of(log_every) {
             continue;
         }
         if !record.position.is_finite() {
