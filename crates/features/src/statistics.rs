@@ -81,6 +81,8 @@ pub struct PhaseStatistics {
     pub energy: f64,
     /// Slope of the straight line through the samples, 1/s.
     pub slope_per_s: f64,
+    /// What that line rises by over the phase.
+    pub rise: f64,
     /// Smallest and largest command.
     pub extremes: (f64, f64),
 }
@@ -237,6 +239,11 @@ impl CycleStatistics {
         self.phases.map(|phase| phase.mean)
     }
 
+    /// What the command rises by over each phase, in the definition's order; 0 where the definition has no more.
+    pub fn phase_rises(&self) -> [f64; MAX_PHASES] {
+        self.phases.map(|phase| phase.rise)
+    }
+
     /// The cycle's command in bins, aligned to its anchors; empty where the definition has no projection.
     pub fn bins(&self) -> &[f32] {
         self.bins.get(..self.bin_count).unwrap_or_default()
@@ -330,6 +337,7 @@ fn phase_statistics(ring: &RingView<'_>, from: i64, to: i64, rate: f64) -> Phase
         mean_absolute: magnitude / count,
         energy: squares / count,
         slope_per_s: slope * rate,
+        rise: slope * count,
         extremes,
     }
 }
