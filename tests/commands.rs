@@ -282,6 +282,8 @@ fn another_machine_is_trained_and_read_from_its_plant_file() {
         "60",
         "--calibration",
         "60",
+        "--causes",
+        "0",
     ];
     let trained = seepd(["train", "--plant", &plant, "--out", &path("model.json")].into_iter().chain(small));
     stdout(&trained);

@@ -59,7 +59,7 @@ moves = [
 load = []
 "#;
 /// Large enough to be told apart, small enough to train in seconds.
-const SMALL_TRAINING: [&str; 10] = [
+const SMALL_TRAINING: [&str; 12] = [
     "--observations",
     "480",
     "--held-out",
@@ -70,6 +70,8 @@ const SMALL_TRAINING: [&str; 10] = [
     "96",
     "--calibration",
     "128",
+    "--causes",
+    "0",
 ];
 
 /// Plants, models and a configuration with three duty cycles.

@@ -285,6 +285,8 @@ fn a_model_trained_on_the_emitted_plant_sizes_the_leak_that_the_default_one_does
         "60",
         "--calibration",
         "200",
+        "--causes",
+        "0",
     ];
     let output =
         seepd([&["train", "--plant", text_of(&plant), "--out", text_of(&model)], &quick[..]].concat());

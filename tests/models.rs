@@ -39,7 +39,7 @@ fn what_the_schema_refuses_the_program_refuses_too() {
     type Damage = fn(&mut Value);
     let damages: [(&str, Damage); 12] = [
         ("unknown key", |model| model["colour"] = json!("red")),
-        ("another schema", |model| model["schema"] = json!("seepd.model/2")),
+        ("another schema", |model| model["schema"] = json!("seepd.model/3")),
         ("no features", |model| model["features"] = json!([])),
         ("text for a number", |model| model["sample_rate_hz"] = json!("fast")),
         ("a rate of 0", |model| model["sample_rate_hz"] = json!(0)),
@@ -249,6 +249,8 @@ fn training_gives_its_data_and_its_report_to_other_tools() {
         "60",
         "--calibration",
         "60",
+        "--causes",
+        "0",
         "--json",
         "--out",
         model.to_str().unwrap(),

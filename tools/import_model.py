@@ -104,8 +104,8 @@ def read_base(path):
             base = json.load(file)
         except ValueError as error:
             raise Refused(f"{path}: {error}") from error
-    if not isinstance(base, dict) or base.get("schema") != "seepd.model/1":
-        raise Refused(f"{path}: is no seepd.model/1; make one with `seepd train --out FILE`")
+    if not isinstance(base, dict) or base.get("schema") not in ("seepd.model/1", "seepd.model/2"):
+        raise Refused(f"{path}: is no seepd.model/2; make one with `seepd train --out FILE`")
     return base
 
 

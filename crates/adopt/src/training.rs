@@ -72,6 +72,7 @@ impl TrainingBasis {
             observations: count(usual.observations),
             held_out: count(usual.held_out).max(256),
             relative_machines: count(usual.relative_machines).max(160),
+            cause_machines: count(usual.cause_machines).max(8),
             calibrated_on: count(usual.calibrated_on).max(512),
             tested_on: count(usual.tested_on).max(128),
             spread: Spread { parameters: tolerances.clone(), load, period, unknown_load: self.unknown_load },

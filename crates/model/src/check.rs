@@ -8,10 +8,11 @@ use seepd_features::Feature;
 use seepd_features::reader::MAX_FEATURES;
 use seepd_features::segment::{MAX_ANCHORS, MAX_CYCLE_BINS, MAX_PHASES, MAX_TEMPLATE_BINS};
 
+use crate::causes::check_causes;
 use crate::error::{ModelError, TreeFault};
 use crate::relative::Inputs;
 use crate::schema::{
-    Calibration, Cycle, Filter, ModelFile, RelativeFile, SCHEMA, TrainingDistribution, Transform, Tree,
+    Calibration, Cycle, Filter, ModelFile, READ_SCHEMAS, RelativeFile, TrainingDistribution, Transform, Tree,
 };
 
 /// Largest file that is read, bytes: sixteen times the size that training aims at, and small on any gateway.
@@ -60,7 +61,7 @@ fn described(json: &[u8], error: &serde_json::Error) -> String {
 
 /// Checks everything but the golden pairs.
 pub(crate) fn check(file: &ModelFile) -> Result<(), ModelError> {
-    if file.schema != SCHEMA {
+    if !READ_SCHEMAS.contains(&file.schema.as_str()) {
         return Err(ModelError::Schema { given: file.schema.clone() });
     }
     within("sample_rate_hz", file.sample_rate_hz, 1.0, 1e6)?;
@@ -87,10 +88,13 @@ pub(crate) fn check(file: &ModelFile) -> Result<(), ModelError> {
     }
     check_calibration(&file.calibration, "calibration")?;
     check_distributions(&file.training_distributions, file.cycle.phases.len(), "novelty")?;
-    file.relative.as_ref().map_or(Ok(()), |relative| check_relative(relative, file.cycle.phases.len()))
+    if let Some(relative) = &file.relative {
+        check_relative(relative, file.cycle.phases.len())?;
+    }
+    file.causes.as_ref().map_or(Ok(()), |causes| check_causes(causes, file.cycle.phases.len()))
 }
 
-fn within(path: &str, value: f64, low: f64, high: f64) -> Result<(), ModelError> {
+pub(crate) fn within(path: &str, value: f64, low: f64, high: f64) -> Result<(), ModelError> {
     if (low..=high).contains(&value) {
         return Ok(());
     }
@@ -271,7 +275,7 @@ pub(crate) fn check_length(path: &str, given: usize, expected: usize) -> Result<
     Err(ModelError::Length { path: path.into(), given, expected })
 }
 
-fn has_length(path: &str, values: &[f64], expected: usize) -> Result<(), ModelError> {
+pub(crate) fn has_length(path: &str, values: &[f64], expected: usize) -> Result<(), ModelError> {
     check_length(path, values.len(), expected)?;
     all_finite(path, values.iter().copied())
 }

@@ -6,7 +6,7 @@ use core::fmt;
 use seepd_features::Feature;
 
 use crate::check::MAX_FILE_BYTES;
-use crate::schema::SCHEMA;
+use crate::schema::{READ_SCHEMAS, SCHEMA};
 
 /// Why a model is refused. A `path` is a JSON path, such as `trees[3].right[7]`.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,7 +24,7 @@ pub enum ModelError {
         /// What the parser says.
         message: String,
     },
-    /// A file of another schema than [`SCHEMA`].
+    /// A file of another schema than [`READ_SCHEMAS`].
     Schema {
         /// Its schema.
         given: String,
@@ -184,7 +184,9 @@ impl fmt::Display for ModelError {
         match self {
             ModelError::TooLong { bytes } => write!(f, "{bytes} bytes; at most {MAX_FILE_BYTES} are read"),
             ModelError::Json { message, .. } => f.write_str(message),
-            ModelError::Schema { given } => write!(f, "is `{given}`; this program reads `{SCHEMA}`"),
+            ModelError::Schema { given } => {
+                write!(f, "is `{given}`; this program reads `{SCHEMA}` and `{}`", READ_SCHEMAS[0])
+            }
             ModelError::Target { target, unit } => {
                 write!(f, "is `{target}` in `{unit}`; this program knows `leak_area` in `m2`")
             }

@@ -5,6 +5,7 @@ extern crate alloc;
 
 pub mod accuracy;
 pub mod attribution;
+pub mod causes;
 mod check;
 pub mod ensemble;
 pub mod error;
@@ -14,6 +15,7 @@ pub mod relative;
 pub mod schema;
 
 pub use attribution::Attribution;
+pub use causes::{Causes, Explanation};
 pub use check::MAX_FILE_BYTES;
 pub use ensemble::{Ensemble, Estimate};
 pub use error::{ModelError, TreeFault};

@@ -7,6 +7,7 @@ use alloc::vec::Vec;
 use seepd_features::{CycleReader, Feature, Kalman, Phase, PistonAreas, Projections, ReaderError};
 
 use crate::attribution::Attribution;
+use crate::causes::Causes;
 use crate::check;
 use crate::ensemble::{Ensemble, Estimate};
 use crate::error::ModelError;
@@ -30,10 +31,11 @@ pub struct Model {
     projections: Vec<f32>,
     ensemble: Ensemble,
     relative: Option<Relative>,
+    causes: Option<Causes>,
 }
 
 impl Model {
-    /// Reads and checks a `seepd.model/1` file.
+    /// Reads and checks a `seepd.model/2` file, or one of version 1.
     ///
     /// # Errors
     /// [`ModelError`] with the JSON path: not JSON, a wrong structure, an unknown schema or feature, a tree that is no
@@ -52,11 +54,12 @@ impl Model {
         let phases = file.cycle.phase_list();
         let projections = ProjectionFile::values(&file.projections);
         let ensemble = Ensemble::from_checked(&file.trees);
-        let mut model = Model { file, features, phases, projections, ensemble, relative: None };
+        let mut model = Model { file, features, phases, projections, ensemble, relative: None, causes: None };
         model.check_golden()?;
         // The trees live on in the ensemble.
         model.file.trees = Vec::new();
         model.relative = model.file.relative.take().map(Relative::from_checked).transpose()?;
+        model.causes = model.file.causes.take().map(Causes::from_checked).transpose()?;
         Ok(model)
     }
 
@@ -116,6 +119,11 @@ impl Model {
     /// Estimates relative to a baseline, if the model has them.
     pub fn relative(&self) -> Option<&Relative> {
         self.relative.as_ref()
+    }
+
+    /// Causes of changes since a baseline, if the model names them.
+    pub fn causes(&self) -> Option<&Causes> {
+        self.causes.as_ref()
     }
 
     /// Flow of a leak of that area at a pressure difference, m³/s: `C_d A √(2 Δp / ρ)`, the orifice alone.

@@ -6,14 +6,18 @@ use alloc::vec::Vec;
 use seepd_features::{Anchor, Anchors, CycleDefinition, DemandMark, Kalman, Phase, PhaseKind, Projections};
 use serde::{Deserialize, Serialize};
 
-/// The `schema` field of this version.
-pub const SCHEMA: &str = "seepd.model/1";
+use crate::causes::Kind;
 
-/// A `seepd.model/1` file.
+/// The `schema` field of this version.
+pub const SCHEMA: &str = "seepd.model/2";
+/// What is read: version 1 is version 2 without `causes`.
+pub const READ_SCHEMAS: [&str; 2] = ["seepd.model/1", SCHEMA];
+
+/// A `seepd.model/2` file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModelFile {
-    /// Always [`SCHEMA`].
+    /// One of [`READ_SCHEMAS`].
     pub schema: String,
     /// Program and version that wrote the file.
     pub created_by: String,
@@ -52,6 +56,9 @@ pub struct ModelFile {
     /// Estimates relative to a baseline; absent: none.
     #[serde(default)]
     pub relative: Option<RelativeFile>,
+    /// Causes of changes since a baseline; absent: changes are taken for leaks, or refused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub causes: Option<CausesFile>,
     /// What the training measured, for people.
     #[serde(default)]
     pub training: Option<Training>,
@@ -317,6 +324,65 @@ pub struct RelativeGolden {
     /// Leak residual, m².
     #[serde(rename = "response")]
     pub leak_residual: f64,
+}
+
+/// How causes of a change are told apart.
+///
+/// The change δ of the phases' means and rises, as `z = B δ`, has noise of variance σ² in each coordinate, where the command's has σ², and of what load,
+/// oil and supply ordinarily do the variance `ordinary`, in no two coordinates together. With the weights `w = 1/√(σ² + ordinary)` a cell's likelihood is
+/// normal about `w·mean`, with covariance `1 + error² |w·z|²/n` in each of the n coordinates, and that of its directions. Means of two cells add, and so do
+/// their errors, that of the seal then of its own `|w·mean|² + Σ |w·direction|²`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CausesFile {
+    /// B, rows one after the other.
+    pub basis: Vec<f64>,
+    /// Its inverse.
+    pub inverse: Vec<f64>,
+    /// Variance of what load, oil and supply do within their ordinary range, by coordinate.
+    pub ordinary: Vec<f64>,
+    /// Squared distance over the number of coordinates from which on a change has none of these causes.
+    pub known_limit: f64,
+    /// Causes at ranges of sizes.
+    pub cells: Vec<CellFile>,
+    /// Inputs with the outputs that must come out.
+    pub golden: Vec<CausesGolden>,
+}
+
+/// A cause at a range of sizes: the response's distribution over machines, days, laws, and sizes within the range.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CellFile {
+    /// The cause.
+    pub kind: Kind,
+    /// Mean size, in the kind's unit.
+    pub size: f64,
+    /// What the size changes by along each direction's standard deviation.
+    pub size_loadings: Vec<f64>,
+    /// Standard deviation of the size beside that.
+    pub size_rest: f64,
+    /// Error of the response that no direction has, over its length.
+    pub error: f64,
+    /// Mean response, in coordinates.
+    pub mean: Vec<f32>,
+    /// Directions in which responses differ most, each as long as its standard deviation.
+    pub directions: Vec<Vec<f32>>,
+}
+
+/// A change with what it must be taken for.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CausesGolden {
+    /// Changes of means, then of rises, by phase.
+    pub numbers: Vec<f64>,
+    /// Standard deviation of the noise left on the command.
+    pub noise: f64,
+    /// Probability that nothing has changed.
+    pub none: f64,
+    /// Probability that the seal has.
+    pub seal: f64,
+    /// Distance from the nearest hypothesis.
+    pub distance: f64,
 }
 
 /// How an area becomes a flow: `C_d A √(2 Δp / ρ)`.

@@ -35,6 +35,17 @@ fn whole_and_cut_down_models_load() {
     assert_eq!(load(&SMALL).unwrap().ensemble().trees(), 3);
 }
 
+/// Version 1 is version 2 without causes.
+#[test]
+fn older_file_reads_and_names_no_causes() {
+    let mut file = SMALL.clone();
+    assert!(load(&file).unwrap().causes().is_some());
+    file["schema"] = "seepd.model/1".into();
+    file.as_object_mut().unwrap().remove("causes");
+    let model = load(&file).unwrap();
+    assert!(model.causes().is_none() && model.relative().is_some());
+}
+
 /// The structure writes the keys that it has read, in their order: none is renamed, left out or moved.
 #[test]
 fn regress_file_written_again_has_the_same_keys() {
@@ -104,8 +115,11 @@ fn arrays_of_other_lengths_are_refused() {
 fn unknown_feature_schema_target_and_key_are_refused() {
     let text = refusal(|file| file["features"][3] = "kurtosys".into());
     assert!(text.starts_with("model: features[3]: unknown feature `kurtosys`; known are mean, "), "{text}");
-    let text = refusal(|file| file["schema"] = "seepd.model/2".into());
-    assert_eq!(text, "model: schema: is `seepd.model/2`; this program reads `seepd.model/1`");
+    let text = refusal(|file| file["schema"] = "seepd.model/3".into());
+    assert_eq!(
+        text,
+        "model: schema: is `seepd.model/3`; this program reads `seepd.model/2` and `seepd.model/1`"
+    );
     assert!(
         refusal(|file| file["unit"] = "mm2".into()).starts_with("model: target: is `leak_area` in `mm2`")
     );

@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod causes;
 mod conformal;
 pub mod dataset;
 pub mod duty;

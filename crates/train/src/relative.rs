@@ -317,7 +317,7 @@ impl PairSimulator<'_> {
 
 /// Simulates with as many steps as each machine needs: warm oil makes the line stiffer. Machines that run side by side in lanes take
 /// their steps together, so that those that need as many are put together.
-fn simulate_stably<R: Send>(
+pub(crate) fn simulate_stably<R: Send>(
     observations: &[Observation],
     reduce: impl Fn(usize, &Observation, &[f64]) -> R + Sync,
 ) -> Vec<R> {

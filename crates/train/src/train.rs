@@ -12,6 +12,7 @@ use seepd_sim::noise::Noise;
 use seepd_sim::{MachineSpec, SpecError};
 use sha2::{Digest, Sha256};
 
+use crate::causes::{self, CauseSimulator};
 use crate::conformal::{self, Prediction};
 use crate::dataset::{self, Observation, Reading, Spread};
 use crate::duty;
@@ -46,6 +47,8 @@ pub struct TrainingSettings {
     pub conditions: Conditions,
     /// Machines from which that comparison is learned.
     pub relative_machines: usize,
+    /// Machines with which each range of sizes of each cause is simulated; 0: the model names no causes.
+    pub cause_machines: usize,
     /// Machines that calibrate intervals and out-of-distribution limits.
     pub calibrated_on: usize,
     /// Machines that the comparison is measured on.
@@ -69,6 +72,7 @@ impl Default for TrainingSettings {
             filter: Some(Kalman::default()),
             conditions: Conditions::default(),
             relative_machines: 640,
+            cause_machines: 16,
             calibrated_on: 2048,
             tested_on: 512,
             noise_table: false,
@@ -140,6 +144,8 @@ pub enum Stage {
     Simulate,
     /// Simulating machines with their baselines.
     Compare,
+    /// Simulating machines with causes other than leaks.
+    Causes,
     /// Searching hyperparameters.
     Search,
     /// Measuring on machines not seen.
@@ -251,6 +257,9 @@ pub fn train(
         plant_sha256: plant_sha256(spec)?,
         golden: Vec::new(),
         relative: Some(relative.clone()),
+        causes: causes::learn(&CauseSimulator { spec, settings, reading: &reading }, &mut |done, all| {
+            tell(Stage::Causes, done, all);
+        }),
         training: None,
     };
     let model = Model::from_file(file.clone()).map_err(TrainError::Model)?;

@@ -57,6 +57,9 @@ pub struct TrainArguments {
     /// Simulated machines from which the comparison with a baseline is learned, six cycles each
     #[arg(long, default_value_t = TrainingSettings::default().relative_machines, value_name = "N")]
     compared: usize,
+    /// Simulated machines at each size of each cause that the model is to name beside leaks; 0: it names none
+    #[arg(long, default_value_t = TrainingSettings::default().cause_machines, value_name = "N")]
+    causes: usize,
     /// Simulated machines that calibrate intervals
     #[arg(long, default_value_t = TrainingSettings::default().calibrated_on, value_name = "N")]
     calibration: usize,
@@ -86,6 +89,7 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
         ("--observations", arguments.observations as f64, 100.0, 1e6),
         ("--held-out", arguments.held_out as f64, 100.0, 1e6),
         ("--compared", arguments.compared as f64, 50.0, 1e6),
+        ("--causes", arguments.causes as f64, 0.0, 1e4),
         ("--calibration", arguments.calibration as f64, 50.0, 1e6),
         ("--trials", arguments.trials as f64, 1.0, 1000.0),
         ("--parameter-spread", arguments.parameter_spread, 0.0, 0.3),
@@ -113,6 +117,7 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
             ..Spread::default()
         },
         relative_machines: arguments.compared,
+        cause_machines: arguments.causes,
         calibrated_on: arguments.calibration,
         noise_table: arguments.full,
         tested_on: if arguments.full { FULL_TEST } else { arguments.held_out / 2 },
@@ -193,6 +198,7 @@ fn name_of(stage: Stage) -> &'static str {
     match stage {
         Stage::Simulate => "simulating",
         Stage::Compare => "comparing",
+        Stage::Causes => "naming causes",
         Stage::Search => "searching",
         Stage::Measure => "measuring",
     }

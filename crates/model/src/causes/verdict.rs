@@ -1,0 +1,382 @@
+//! From likelihoods to a verdict: posterior probabilities of causes, with sizes, and what the other cause does to the phases' means.
+
+use super::fit::{Fit, Vector, Whitened};
+use super::{
+    Cause, Causes, Cell, Change, Kind, MAX_CELLS, MAX_KINDS, MAX_NUMBERS, PRIOR_NONE, Side, SizeUnit,
+};
+
+/// Least probability of a cause that is named.
+pub(super) const NAMED_FROM: f64 = 0.65;
+/// Cells of other causes that are tried beside each cell of the seal.
+const TRIED_BESIDE: usize = 8;
+/// Standard deviations on either side of an interval of 90 %.
+const Z_90: f64 = 1.645;
+/// Hypotheses less likely than the best by this factor's logarithm say nothing.
+const NEGLIGIBLE: f64 = -12.0;
+/// Most pairs that count.
+const MAX_PAIRS: usize = 64;
+
+/// A possible cause of a change.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Candidate {
+    /// The cause.
+    pub kind: Kind,
+    /// Probability that it has changed, alone or beside another.
+    pub probability: f64,
+    /// Its size, in the kind's unit.
+    pub size: f64,
+    /// Interval that holds the size nine times in ten, where this is the cause.
+    pub interval90: [f64; 2],
+}
+
+/// What a change is taken for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// Nothing has changed.
+    Nothing,
+    /// A cause, and the second of a pair; a leak comes first.
+    Named(Cause, Option<Cause>),
+    /// More than one cause would do.
+    CannotTell,
+    /// None of those that are known.
+    Unknown,
+}
+
+/// What explains a change.
+#[derive(Debug, Clone, Copy)]
+pub struct Explanation {
+    /// The verdict.
+    pub verdict: Verdict,
+    /// Probability that nothing has changed.
+    pub none: f64,
+    /// Probability that the seal has, alone or beside another cause.
+    pub seal: f64,
+    /// Probability of the verdict: of the first cause where one is named.
+    pub probability: f64,
+    /// Squared distance of the nearest hypothesis over the number of coordinates.
+    pub distance: f64,
+    /// The cause other than the seal in the most likely explanation, and whether the seal is in it too.
+    pub other: Option<(Kind, bool)>,
+    /// What that cause does to each phase's mean command, in the phases' order.
+    pub response: Vector,
+    candidates: [Candidate; MAX_KINDS],
+    count: usize,
+}
+
+impl Explanation {
+    /// The causes, most probable first.
+    pub fn candidates(&self) -> &[Candidate] {
+        self.candidates.get(..self.count).unwrap_or_default()
+    }
+
+    /// Probability of an explanation without the seal.
+    pub fn without_seal(&self) -> f64 {
+        (1.0 - self.seal).max(0.0)
+    }
+
+    /// The candidate of a cause.
+    pub fn candidate(&self, cause: Cause) -> Option<&Candidate> {
+        self.candidates().iter().find(|candidate| candidate.kind.cause == cause)
+    }
+}
+
+/// A hypothesis with its weight: the cells by number.
+#[derive(Debug, Clone, Copy)]
+struct Pair {
+    seal: usize,
+    other: usize,
+    log_weight: f64,
+}
+
+/// Sums over the hypotheses with a kind.
+#[derive(Debug, Clone, Copy, Default)]
+struct Tally {
+    weight: f64,
+    /// Of which alone.
+    alone: f64,
+    size: f64,
+    square: f64,
+}
+
+impl Tally {
+    fn add(&mut self, weight: f64, (size, variance): (f64, f64)) {
+        self.weight += weight;
+        self.size += weight * size;
+        self.square += weight * (variance + size * size);
+    }
+}
+
+/// Every hypothesis with its weight, relative to the best.
+struct Weighed<'c> {
+    causes: &'c Causes,
+    whitened: Whitened,
+    none: f64,
+    alone: [f64; MAX_CELLS],
+    pairs: [Pair; MAX_PAIRS],
+    pair_count: usize,
+    distance: f64,
+}
+
+impl Causes {
+    /// Explains a change by none, one or two of the causes.
+    ///
+    /// ```no_run
+    /// # use seepd_model::{Model, causes::{Change, Verdict}};
+    /// # fn told(model: &Model, baseline: &[f64], now: &[f64]) -> Option<Verdict> {
+    /// let numbers: Vec<f64> = now.iter().zip(baseline).map(|(now, before)| now - before).collect();
+    /// let explanation = model.causes()?.explain(&Change { numbers: &numbers, noise: 0.001 });
+    /// # Some(explanation.verdict)
+    /// # }
+    /// ```
+    pub fn explain(&self, change: &Change<'_>) -> Explanation {
+        let weighed = Weighed::of(self, self.whitened(change));
+        weighed.explanation()
+    }
+}
+
+impl Causes {
+    /// Whether a cell's response adds to that of a leak. Under a dead band a leak answers in another way, and a valve of another shape would pass for both.
+    fn adds_to_a_leak(&self, cell: &Cell) -> bool {
+        let cause = self.kinds.get(cell.kind).map(|kind| kind.cause);
+        !matches!(cause, None | Some(Cause::PistonSeal | Cause::ValveDeadBand))
+    }
+}
+
+impl<'c> Weighed<'c> {
+    fn of(causes: &'c Causes, whitened: Whitened) -> Self {
+        let nothing = causes.fit(&whitened, &[]);
+        let mut weighed = Weighed {
+            causes,
+            whitened,
+            none: libm::log(PRIOR_NONE) + nothing.log_likelihood,
+            alone: [f64::NEG_INFINITY; MAX_CELLS],
+            pairs: [Pair { seal: 0, other: 0, log_weight: f64::NEG_INFINITY }; MAX_PAIRS],
+            pair_count: 0,
+            distance: nothing.distance,
+        };
+        let mut best = weighed.none;
+        for (index, (cell, [prior, _])) in causes.cells.iter().zip(&causes.priors).enumerate() {
+            let fit = causes.fit(&weighed.whitened, &[cell]);
+            let weight = prior + fit.log_likelihood;
+            weighed.alone[index] = weight;
+            weighed.note(&mut best, weight, &fit);
+        }
+        weighed.weigh_pairs(&mut best);
+        weighed.normalise(best);
+        weighed
+    }
+
+    fn note(&mut self, best: &mut f64, weight: f64, fit: &Fit) {
+        if weight > *best {
+            *best = weight;
+            self.distance = fit.distance;
+        }
+    }
+
+    /// Cells of other causes that do best whatever the seal does, each beside every cell of the seal.
+    fn weigh_pairs(&mut self, best: &mut f64) {
+        let causes = self.causes;
+        let leaks = || causes.cells.iter().enumerate().filter(|(_, cell)| cell.is_seal && cell.size > 0.0);
+        let Some(leak) = leaks().map(|(_, cell)| self.unit(cell)).next() else { return };
+        let mut tried = [(f64::NEG_INFINITY, 0); TRIED_BESIDE];
+        for (index, cell) in causes.cells.iter().enumerate().filter(|(_, cell)| causes.adds_to_a_leak(cell)) {
+            let fit = causes.fit_beside(&self.whitened, &[cell], Some(&leak));
+            let weight = causes.priors[index][1] + fit.log_likelihood;
+            if weight > tried[TRIED_BESIDE - 1].0 {
+                let at = tried.partition_point(|(other, _)| *other >= weight);
+                tried[at..].rotate_right(1);
+                tried[at] = (weight, index);
+            }
+        }
+        for (weight, other) in tried {
+            if weight == f64::NEG_INFINITY {
+                break;
+            }
+            for (seal, leak) in leaks() {
+                let fit = causes.fit(&self.whitened, &[leak, &causes.cells[other]]);
+                let log_weight = causes.priors[seal][1] + causes.priors[other][1] + fit.log_likelihood;
+                self.note(best, log_weight, &fit);
+                self.keep(Pair { seal, other, log_weight });
+            }
+        }
+    }
+
+    /// A cell's mean as a whitened direction of length 1.
+    fn unit(&self, cell: &Cell) -> Vector {
+        let mut unit = [0.0; MAX_NUMBERS];
+        let values = self.causes.mean_of(cell).iter().zip(&self.whitened.weights);
+        for (slot, (value, weight)) in unit.iter_mut().zip(values) {
+            *slot = value * weight;
+        }
+        let length = libm::sqrt(unit.iter().map(|value| value * value).sum::<f64>()).max(f64::MIN_POSITIVE);
+        unit.map(|value| value / length)
+    }
+
+    /// Keeps a pair in the place of the least likely one.
+    fn keep(&mut self, pair: Pair) {
+        if self.pair_count < MAX_PAIRS {
+            self.pairs[self.pair_count] = pair;
+            self.pair_count += 1;
+            return;
+        }
+        let least = self.pairs.iter_mut().min_by(|a, b| a.log_weight.total_cmp(&b.log_weight));
+        if let Some(least) = least.filter(|least| least.log_weight < pair.log_weight) {
+            *least = pair;
+        }
+    }
+
+    /// Turns logarithms into probabilities.
+    fn normalise(&mut self, best: f64) {
+        let cells = self.causes.cells.len();
+        let pairs = self.pair_count;
+        let share = |log: f64| if log - best < NEGLIGIBLE { 0.0 } else { libm::exp(log - best) };
+        self.none = share(self.none);
+        self.alone.iter_mut().for_each(|weight| *weight = share(*weight));
+        self.pairs.iter_mut().for_each(|pair| pair.log_weight = share(pair.log_weight));
+        let sum = self.none
+            + self.alone.iter().take(cells).sum::<f64>()
+            + self.pairs.iter().take(pairs).map(|pair| pair.log_weight).sum::<f64>();
+        self.none /= sum;
+        self.alone.iter_mut().for_each(|weight| *weight /= sum);
+        self.pairs.iter_mut().for_each(|pair| pair.log_weight /= sum);
+    }
+
+    /// Calls `take` with each hypothesis of weight: probability and cells.
+    fn each(&self, mut take: impl FnMut(f64, &[&Cell])) {
+        let cells = &self.causes.cells;
+        for (weight, cell) in self.alone.iter().zip(cells).filter(|(weight, _)| **weight > 0.0) {
+            take(*weight, &[cell]);
+        }
+        for pair in self.pairs.iter().take(self.pair_count).filter(|pair| pair.log_weight > 0.0) {
+            take(pair.log_weight, &[&cells[pair.seal], &cells[pair.other]]);
+        }
+    }
+
+    fn explanation(&self) -> Explanation {
+        let mut tallies = [Tally::default(); MAX_KINDS];
+        let mut seal = 0.0;
+        self.each(|weight, cells| {
+            let fit = self.causes.fit(&self.whitened, cells);
+            for (cell, size) in cells.iter().zip(fit.sizes) {
+                tallies[cell.kind].add(weight, size);
+                seal += if cell.is_seal { weight } else { 0.0 };
+            }
+            if let [cell] = cells {
+                tallies[cell.kind].alone += weight;
+            }
+        });
+        let other = self.other(&tallies);
+        let response = other.map_or([0.0; MAX_NUMBERS], |(kind, beside)| self.response(kind, beside));
+        let (candidates, count) = self.candidates(&tallies);
+        let (verdict, probability) = self.verdict(&tallies, seal);
+        Explanation {
+            verdict,
+            none: self.none,
+            seal,
+            probability,
+            distance: self.distance,
+            other: other.and_then(|(kind, beside)| Some((*self.causes.kinds.get(kind)?, beside))),
+            response,
+            candidates,
+            count,
+        }
+    }
+
+    /// The kind other than the seal in the most likely of: nothing, the seal, one other kind, the seal and one other.
+    fn other(&self, tallies: &[Tally; MAX_KINDS]) -> Option<(usize, bool)> {
+        let is_seal = |kind: usize| self.causes.kinds[kind].cause == Cause::PistonSeal;
+        let kinds = || (0..self.causes.kinds.len()).filter(|kind| !is_seal(*kind));
+        let seal: f64 =
+            (0..self.causes.kinds.len()).filter(|kind| is_seal(*kind)).map(|kind| tallies[kind].alone).sum();
+        let mut best = (self.none.max(seal), None);
+        for kind in kinds() {
+            let Tally { weight, alone, .. } = tallies[kind];
+            for (share, beside) in [(alone, false), (weight - alone, true)] {
+                if share > best.0 {
+                    best = (share, Some((kind, beside)));
+                }
+            }
+        }
+        best.1
+    }
+
+    /// Mean of a kind's response over the hypotheses with it, alone or beside the seal, in the phases' means and rises.
+    fn response(&self, kind: usize, beside: bool) -> Vector {
+        let causes = self.causes;
+        let (mut sum, mut total) = ([0.0; MAX_NUMBERS], 0.0);
+        self.each(|weight, cells| {
+            let Some(cell) = cells.last().filter(|cell| cell.kind == kind && (cells.len() == 2) == beside)
+            else {
+                return;
+            };
+            let along = causes.fit(&self.whitened, cells).along;
+            let from = cells.first().filter(|_| beside).map_or(0, |seal| seal.rank);
+            total += weight;
+            for (slot, mean) in sum.iter_mut().zip(causes.mean_of(cell)) {
+                *slot += weight * mean;
+            }
+            for (which, along) in along.iter().skip(from).take(cell.rank).enumerate() {
+                for (slot, value) in sum.iter_mut().zip(causes.direction_of(cell, which)) {
+                    *slot += weight * along * value;
+                }
+            }
+        });
+        let n = causes.numbers();
+        let mut response = [0.0; MAX_NUMBERS];
+        for (slot, row) in response.iter_mut().zip(causes.file.inverse.chunks_exact(n.max(1))) {
+            *slot = row.iter().zip(&sum).map(|(a, b)| a * b).sum::<f64>() / total.max(f64::MIN_POSITIVE);
+        }
+        response
+    }
+
+    fn candidates(&self, tallies: &[Tally; MAX_KINDS]) -> ([Candidate; MAX_KINDS], usize) {
+        let empty = Kind { cause: Cause::PistonSeal, side: None::<Side>, unit: SizeUnit::Area };
+        let mut candidates =
+            [Candidate { kind: empty, probability: 0.0, size: 0.0, interval90: [0.0; 2] }; MAX_KINDS];
+        let mut count = 0;
+        let kinds = self.causes.kinds.iter().zip(tallies);
+        for (slot, (kind, tally)) in candidates.iter_mut().zip(kinds.filter(|(_, tally)| tally.weight > 0.0))
+        {
+            let size = tally.size / tally.weight;
+            let half = Z_90 * libm::sqrt((tally.square / tally.weight - size * size).max(0.0));
+            let interval90 = [size - half, size + half];
+            *slot = Candidate { kind: *kind, probability: tally.weight.min(1.0), size, interval90 };
+            count += 1;
+        }
+        candidates[..count].sort_unstable_by(|a, b| b.probability.total_cmp(&a.probability));
+        (candidates, count)
+    }
+
+    fn verdict(&self, tallies: &[Tally; MAX_KINDS], seal: f64) -> (Verdict, f64) {
+        if self.distance > self.causes.file.known_limit {
+            return (Verdict::Unknown, 1.0 - self.none);
+        }
+        if self.none >= NAMED_FROM {
+            return (Verdict::Nothing, self.none);
+        }
+        let kinds = &self.causes.kinds;
+        let of_cause = |cause: Cause| -> f64 {
+            kinds
+                .iter()
+                .zip(tallies)
+                .filter(|(kind, _)| kind.cause == cause)
+                .map(|(_, tally)| tally.weight)
+                .sum()
+        };
+        let other = kinds
+            .iter()
+            .map(|kind| kind.cause)
+            .filter(|cause| *cause != Cause::PistonSeal)
+            .map(|cause| (cause, of_cause(cause)))
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .filter(|(_, probability)| *probability >= NAMED_FROM);
+        match (seal >= NAMED_FROM, other) {
+            (true, other) => (Verdict::Named(Cause::PistonSeal, other.map(|(cause, _)| cause)), seal),
+            (false, Some((cause, probability))) => (Verdict::Named(cause, None), probability),
+            (false, None) => {
+                let likeliest = tallies.iter().map(|tally| tally.weight).fold(self.none, f64::max);
+                (Verdict::CannotTell, likeliest)
+            }
+        }
+    }
+}

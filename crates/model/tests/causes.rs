@@ -1,0 +1,116 @@
+//! Named causes from closed forms: a file of four cells over two phases, in which noise is even and nothing varies ordinarily.
+
+use seepd_model::causes::{Cause, Change, Kind, SizeUnit, Verdict};
+use seepd_model::schema::{CausesFile, CellFile};
+use seepd_model::{Causes, ModelError};
+
+const NUMBERS: usize = 4;
+
+/// A cell whose response is a size along a direction, sizes within a fifth of it.
+fn cell(cause: Cause, unit: SizeUnit, size: f64, response: [f32; NUMBERS]) -> CellFile {
+    CellFile {
+        kind: Kind { cause, side: None, unit },
+        size,
+        size_loadings: vec![0.2 * size],
+        size_rest: 0.0,
+        error: 0.01,
+        mean: response.to_vec(),
+        directions: vec![response.map(|value| 0.2 * value).to_vec()],
+    }
+}
+
+fn file() -> CausesFile {
+    let identity: Vec<f64> =
+        (0..NUMBERS * NUMBERS).map(|at| f64::from(u8::from(at % (NUMBERS + 1) == 0))).collect();
+    let null = [-0.01, -0.01, 0.0, 0.0];
+    CausesFile {
+        basis: identity.clone(),
+        inverse: identity,
+        ordinary: vec![0.0; NUMBERS],
+        known_limit: 4.0,
+        cells: vec![
+            cell(Cause::PistonSeal, SizeUnit::Area, 2e-7, [-0.004, 0.004, 0.0, 0.0]),
+            cell(Cause::ValveNull, SizeUnit::Share, 0.01, null),
+            cell(Cause::ValveNull, SizeUnit::Share, -0.01, null.map(|value| -value)),
+            cell(Cause::Friction, SizeUnit::Force, 1e3, [0.0, 0.0, 0.006, 0.0]),
+        ],
+        golden: Vec::new(),
+    }
+}
+
+fn explained(numbers: [f64; NUMBERS]) -> seepd_model::Explanation {
+    let causes = Causes::from_file(file()).expect("a file that is in order");
+    causes.explain(&Change { numbers: &numbers, noise: 1e-4 })
+}
+
+#[test]
+fn analytic_no_change_is_none() {
+    let given = explained([5e-5, -1e-4, 0.0, 1e-4]);
+    assert_eq!(given.verdict, Verdict::Nothing);
+    // (0.5² + 1 + 0 + 1)/4.
+    assert!((given.distance - 0.5625).abs() < 1e-3, "{}", given.distance);
+    assert_eq!(given.other, None);
+}
+
+/// A shift of the null by s moves every mean by −s; the posterior's mean of the size is s within the prior's share of noise² over spread².
+#[test]
+fn analytic_null_shift_is_named_with_its_size_and_its_response() {
+    let given = explained([-0.009, -0.009, 0.0, 0.0]);
+    assert_eq!(given.verdict, Verdict::Named(Cause::ValveNull, None));
+    assert!(given.probability > 0.99, "{}", given.probability);
+    let null = given.candidate(Cause::ValveNull).expect("a candidate");
+    assert!((null.size - 0.009).abs() < 2e-5, "{}", null.size);
+    assert!(null.interval90[0] < 0.009 && null.interval90[1] > 0.009 && null.interval90[1] < 0.0094);
+    assert!(given.other.is_some_and(|(kind, beside)| kind.cause == Cause::ValveNull && !beside));
+    assert!(given.response[..2].iter().all(|mean| (mean + 0.009).abs() < 2e-5), "{:?}", given.response);
+}
+
+#[test]
+fn analytic_a_leak_beside_a_null_shift_is_a_pair_and_its_response_the_nulls_alone() {
+    let given = explained([-0.01 - 0.0044, -0.01 + 0.0044, 0.0, 0.0]);
+    assert_eq!(given.verdict, Verdict::Named(Cause::PistonSeal, Some(Cause::ValveNull)));
+    let seal = given.candidate(Cause::PistonSeal).expect("a candidate");
+    assert!((seal.size - 2.2e-7).abs() < 2e-9, "{}", seal.size);
+    assert!(given.response[..2].iter().all(|mean| (mean + 0.01).abs() < 5e-5), "{:?}", given.response);
+}
+
+#[test]
+fn a_change_that_no_cell_has_is_unknown() {
+    let given = explained([0.0, 0.0, 0.0, 0.05]);
+    assert_eq!(given.verdict, Verdict::Unknown);
+    assert!(given.distance > 4.0);
+}
+
+#[test]
+fn repeatability_is_told_as_noise_and_a_jump_as_a_distance() {
+    let causes = Causes::from_file(file()).expect("a file that is in order");
+    assert!((causes.noise_of(&[2e-4, 2e-4]) - 2e-4).abs() < 1e-15);
+    // 2 σ in one of four numbers.
+    let difference = Change { numbers: &[2e-4, 0.0, 0.0, 0.0], noise: 1e-4 };
+    assert!((causes.distance(&difference) - 1.0).abs() < 1e-3);
+}
+
+#[test]
+fn a_damaged_part_is_refused_with_its_place() {
+    let refusal = |damage: &dyn Fn(&mut CausesFile)| {
+        let mut damaged = file();
+        damage(&mut damaged);
+        Causes::from_file(damaged).map(|_| ()).expect_err("it must be refused").path().to_owned()
+    };
+    assert_eq!(refusal(&|file| file.cells.clear()), "causes.cells.length");
+    assert_eq!(refusal(&|file| file.ordinary[1] = -1.0), "causes.ordinary[1]");
+    assert_eq!(refusal(&|file| file.basis.truncate(3)), "causes.basis");
+    assert_eq!(refusal(&|file| file.cells[2].error = f64::NAN), "causes.cells[2].error");
+    assert_eq!(refusal(&|file| file.cells[3].size_loadings.clear()), "causes.cells[3].size_loadings");
+    assert_eq!(refusal(&|file| file.cells[0].mean[0] = f32::INFINITY), "causes.cells[0].mean");
+    let golden = seepd_model::schema::CausesGolden {
+        numbers: vec![0.0; NUMBERS],
+        noise: 1e-4,
+        none: 0.5,
+        seal: 0.0,
+        distance: 0.0,
+    };
+    let error =
+        Causes::from_file(CausesFile { golden: vec![golden], ..file() }).expect_err("it must be refused");
+    assert!(matches!(error, ModelError::Golden { ref path, .. } if path == "causes.golden[0]"), "{error}");
+}

@@ -1,0 +1,74 @@
+use std::sync::LazyLock;
+
+use seepd_features::Projections;
+use seepd_model::causes::SizeUnit;
+use seepd_model::{Model, ModelFile};
+
+use super::*;
+
+/// The shipped model, whose duty cycle is read.
+static MODEL: LazyLock<Model> = LazyLock::new(|| {
+    let file: ModelFile =
+        serde_json::from_slice(include_bytes!("../../../daemon/assets/model.json")).unwrap();
+    Model::from_file(ModelFile { causes: None, ..file }).unwrap()
+});
+
+fn with_simulator(test: impl FnOnce(&CauseSimulator<'_>)) {
+    let phases = MODEL.file().cycle.phase_list();
+    let reading = Reading {
+        cycle: &MODEL.file().cycle,
+        phases: &phases,
+        sample_rate_hz: MODEL.file().sample_rate_hz,
+        projections: Projections::NONE,
+    };
+    let (spec, settings) = (MachineSpec::default(), TrainingSettings::default());
+    test(&CauseSimulator { spec: &spec, settings: &settings, reading: &reading });
+}
+
+/// The spool is where it was only if the command is off by as much the other way, in every sample and on every machine.
+#[test]
+fn analytic_null_shift_moves_every_mean_by_itself_and_no_rise() {
+    with_simulator(|simulator| {
+        let curves: Vec<Curve> = curves::all(simulator.spec)
+            .into_iter()
+            .filter(|curve| curve.kind.cause == Cause::ValveNull)
+            .collect();
+        let responses = simulator.responses(&curves, (2, 77, 3), &mut |_| ());
+        assert_eq!(responses.len(), 3);
+        for response in responses.iter().flat_map(|(_, responses)| responses) {
+            let (means, rises) = response.numbers.split_at(response.numbers.len() / 2);
+            // What is left of the warm-up's beginning, and the reader's single precision.
+            let bound = 1e-3 * response.size.abs() + 1e-6;
+            assert!(means.iter().all(|mean| (mean + response.size).abs() < bound), "{response:?}");
+            assert!(rises.iter().all(|rise| rise.abs() < bound), "{response:?}");
+        }
+    });
+}
+
+/// Ranges of a curve follow on each other, and sizes lie within theirs.
+#[test]
+fn curves_cover_their_sizes() {
+    with_simulator(|simulator| {
+        let curves = curves::all(simulator.spec);
+        let cells: usize = curves.iter().map(|curve| curve.ranges().count()).sum();
+        // The seal's twice: it may leak less as well.
+        assert!(cells + 20 <= seepd_model::causes::MAX_CELLS, "{cells}");
+        let healthy = simulator.machine(78, 0);
+        let mut noise = Noise::new(1, 1);
+        for curve in &curves {
+            let mut end = None;
+            for range in curve.ranges() {
+                assert!(
+                    end.is_none_or(|end| end == range[0]) && range[1] / range[0] > 1.0,
+                    "{:?}",
+                    curve.kind
+                );
+                end = Some(range[1]);
+                let (size, _) = curve.applied(&healthy, range, 0.5, &mut noise);
+                assert!((size / range[0] - (range[1] / range[0]).sqrt()).abs() < 1e-9, "{:?}", curve.kind);
+            }
+            let is_relative = curve.kind.unit == SizeUnit::Share;
+            assert!(!is_relative || end.is_some_and(|end| end.abs() <= 3.0), "{:?}", curve.kind);
+        }
+    });
+}
