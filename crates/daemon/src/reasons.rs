@@ -149,8 +149,8 @@ pub const ALL: [Explanation; 18] = [
     },
     Explanation {
         name: "unlike_baseline",
-        meaning: "it differs from the baseline in a way that no leak, load, oil or supply of the training explains",
-        cause: "A valve, a sensor, the controller or the duty cycle has been changed since the baseline was learned.",
+        meaning: "it differs from the baseline in a way that no leak, load, oil or supply of the training explains, nor any other known cause",
+        cause: "A valve, a sensor or the duty cycle has been changed since the baseline was learned.",
         check: "`novelty` says how far it is (1 is the limit); the notice after five cycles names the phase that differs most. Ask what was changed at that time.",
         cure: "If the seal is good, learn a new baseline: `seepd learn-baseline --seal-replaced --out press.baseline.json LOG`, or the button of the page.",
     },

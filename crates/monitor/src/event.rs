@@ -3,11 +3,13 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use seepd_model::causes::{Candidate, Cause, Side, SizeUnit};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Serialize, Serializer};
 
 use crate::baseline::trend::TimeTo;
 use crate::baseline::{CusumFinding, LoadKnowledge};
+use crate::cause::LISTED_FROM;
 use crate::energy::Loss;
 use crate::pipeline::observer::Observation;
 
@@ -106,6 +108,9 @@ pub struct CycleLine<'a> {
     /// What the comparison with a baseline says; its fields are absent where there is none.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub comparison: Option<ComparisonLine<'a>>,
+    /// What has changed since the baseline; its fields are absent without one, or where the model names no causes.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    pub cause: Option<CauseLine<'a>>,
     /// What the comparison says on an axis without a model; its fields are absent elsewhere, and while the baseline is learned.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     pub relative: Option<RelativeLine<'a>>,
@@ -152,6 +157,59 @@ pub struct ComparisonLine<'a> {
     pub time_to_severe: Option<TimeTo>,
     /// What each phase, and the load, contributes to the leak residual, m².
     pub why: FeatureValues<'a>,
+}
+
+/// What has changed since the baseline: fields of a cycle's line.
+#[derive(Debug, Clone, Serialize)]
+pub struct CauseLine<'a> {
+    /// `none`, a cause, `unknown` or `cannot_tell`.
+    pub cause: &'static str,
+    /// Its probability.
+    pub cause_probability: f64,
+    /// The second of a pair; a leak comes first.
+    pub cause_also: Option<&'static str>,
+    /// What it may be, most probable first.
+    pub cause_candidates: Candidates<'a>,
+    /// What would tell the candidates apart; empty where one is named.
+    pub distinguish: Vec<&'static str>,
+    /// Number of the cycle in which the change was first seen; null where nothing has changed.
+    pub onset_cycle: Option<u64>,
+}
+
+/// Candidates as they are written, without improbable ones.
+#[derive(Debug, Clone, Copy)]
+pub struct Candidates<'a>(pub &'a [Candidate]);
+
+impl Candidates<'_> {
+    /// Probability of the cause of that name, over its sides and units.
+    pub fn probability_of(&self, cause: &str) -> f64 {
+        let named = self.0.iter().filter(|candidate| candidate.kind.cause.name() == cause);
+        named.map(|candidate| candidate.probability).sum()
+    }
+}
+
+impl Serialize for Candidates<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        #[derive(Serialize)]
+        struct Line {
+            cause: Cause,
+            #[serde(skip_serializing_if = "Option::is_none")]
+            side: Option<Side>,
+            probability: f64,
+            size: f64,
+            unit: SizeUnit,
+            interval90: [f64; 2],
+        }
+        let listed = self.0.iter().filter(|candidate| candidate.probability >= LISTED_FROM);
+        serializer.collect_seq(listed.map(|Candidate { kind, probability, size, interval90 }| Line {
+            cause: kind.cause,
+            side: kind.side,
+            probability: *probability,
+            size: *size,
+            unit: kind.unit,
+            interval90: *interval90,
+        }))
+    }
 }
 
 /// A cycle's comparison with the baseline of an axis without a model: fields of its line.
@@ -293,6 +351,10 @@ pub enum NoticeKind {
     Improved,
     /// The load's signal stands still.
     LoadFrozen,
+    /// Something other than the seal has changed; leaks are sized beside it where it is known.
+    ConditionFound,
+    /// It has not any more.
+    ConditionGone,
     /// The machine is like none of training, and has no baseline to be compared with.
     UnlikeTraining,
     /// The machine has become another one: it needs a new baseline.
@@ -348,6 +410,9 @@ pub struct Summary {
     pub leak_area_m2: Option<f64>,
     /// The same as a flow at the reference pressure difference, L/min.
     pub leak_flow_lpm: Option<f64>,
+    /// What has changed beside the seal since the baseline, in words; absent where nothing has.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub condition: Option<String>,
     /// Why there is no size; null where there is one.
     pub size_withheld: Option<&'static str>,
     /// What the command looks like where there is no size; null where there is one.

@@ -2,6 +2,7 @@
 
 pub mod alarm;
 pub mod baseline;
+pub mod cause;
 pub mod energy;
 pub mod event;
 pub mod pipeline;

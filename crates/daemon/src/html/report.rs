@@ -122,6 +122,7 @@ impl ReportPage<'_> {
                 span.tag style=(format!("background:{}", colour(flag))) { (flag.name().replace('_', " ")) } " " (text)
                 @if summary.highest_flag > flag { " The highest flag in this record was " (summary.highest_flag.name()) "." }
             }
+            @if let Some(condition) = &summary.condition { p { "Beside the seal: " (condition) } }
             @if let Some(advice) = self.advice { p { (advice) } }
         }
     }

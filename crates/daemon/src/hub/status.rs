@@ -64,6 +64,8 @@ pub struct AxisStatus {
     pub duty_cycles: Vec<DutyCycleStatus>,
     /// What the sums over cycles say against the baseline.
     pub finding: CusumFinding,
+    /// What has changed beside the seal since the baseline, in words, with what to do; null where nothing has.
+    pub condition: Option<String>,
     /// What has changed since the baseline, on an axis without a model; absent elsewhere.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub relative: Option<RelativeStatus>,
@@ -109,6 +111,7 @@ impl AxisStatus {
             baseline: BaselineStatus::default(),
             duty_cycles: Vec::new(),
             finding: CusumFinding::None,
+            condition: None,
             relative: None,
             cycle: None,
             t_last_cycle_ns: None,

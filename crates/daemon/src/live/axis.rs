@@ -481,6 +481,7 @@ impl<'a> AxisReporter<'a> {
                 baseline,
                 duty_cycles,
                 finding,
+                condition: pipeline.condition().map(str::to_owned),
                 relative,
                 cycle: last.map(|last| last.cycle),
                 t_last_cycle_ns: last.map(|last| last.end_ns),

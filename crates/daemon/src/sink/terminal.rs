@@ -163,6 +163,9 @@ pub fn write_summary(
     } else if summary.highest_flag > Flag::Healthy {
         writeln!(out, "leak: no size; highest flag: {}", words(summary.highest_flag.name()))?;
     }
+    if let Some(condition) = &summary.condition {
+        writeln!(out, "beside it: {condition}")?;
+    }
     if let Some(loss) = &summary.loss {
         let (power, energy) = (loss.leak_power_w, loss.leak_energy_kwh_per_year);
         writeln!(out, "lost: {power:.1} W, or {energy:.0} kWh a year")?;

@@ -1,12 +1,14 @@
 //! Compares each cycle with the baseline.
 
 use seepd_features::ValidCycle;
+use seepd_model::causes::{Cause, Verdict};
 use seepd_model::{Comparison, Estimate, Model, Relative, RelativeEstimate};
 use serde::Serialize;
 
 use super::Baseline;
 use super::cusum::{Cusum, CusumFinding, CusumLimits};
 use super::trend::{Growth, Trend};
+use crate::cause::{self, Explained, Tracker};
 
 /// Least standard deviation of the leak residual, m²: a machine without noise would count every rounding.
 const LEAST_DEVIATION_M2: f64 = 2e-10;
@@ -38,6 +40,10 @@ pub struct ComparedCycle {
     pub sum: f64,
     /// How the leak grows, where it does.
     pub growth: Option<Growth>,
+    /// What has changed, where the model names causes.
+    pub explained: Option<Explained>,
+    /// Whether the cycle is unlike everything that training has seen, and no known cause explains it.
+    pub is_unlike: bool,
 }
 
 /// The estimate; where the cycle is like nothing in training, but its baseline is like a leaking machine's against this cycle, the machine
@@ -47,9 +53,8 @@ fn compare(
     baseline: &[f64],
     present: &[f64],
     load_change: Option<f64>,
-    cycle: &ValidCycle<'_>,
+    noise: f64,
 ) -> RelativeEstimate {
-    let noise = cycle.statistics.noise;
     let estimate = relative.estimate(&Comparison { baseline, present, load_change, noise });
     if estimate.out_of_distribution.score <= 1.0 {
         return estimate;
@@ -79,12 +84,18 @@ pub struct BaselineComparator {
     baseline: Baseline,
     cusum: Cusum,
     trend: Trend,
+    tracker: Tracker,
 }
 
 impl BaselineComparator {
     /// Follows from a baseline.
     pub fn new(baseline: Baseline) -> Self {
-        BaselineComparator { baseline, cusum: Cusum::default(), trend: Trend::default() }
+        BaselineComparator {
+            baseline,
+            cusum: Cusum::default(),
+            trend: Trend::default(),
+            tracker: Tracker::default(),
+        }
     }
 
     /// The baseline.
@@ -111,17 +122,60 @@ impl BaselineComparator {
         let relative = model.relative()?;
         let present = cycle.statistics.phase_means();
         let (load, load_change) = self.load_of(cycle);
-        let estimate =
-            compare(relative, &self.baseline.mean, present.get(..relative.phases())?, load_change, cycle);
+        let estimate = compare(
+            relative,
+            &self.baseline.mean,
+            present.get(..relative.phases())?,
+            load_change,
+            cycle.statistics.noise,
+        );
         Some((estimate, load, load_change))
+    }
+
+    /// What has changed. A valve with a dead band answers to causes in its own way, of which training knows nothing.
+    fn explain(&mut self, model: &Model, cycle: &ValidCycle<'_>) -> Option<Explained> {
+        let is_plain = model.relative()?.deadband(&self.baseline.mean).is_none();
+        self.tracker.take(model.causes().filter(|_| is_plain)?, &self.baseline, cycle)
+    }
+
+    /// The estimate beside the cause that has been found, its response taken off; `None` where there is none to take off.
+    fn beside(
+        &self,
+        relative: &Relative,
+        cycle: &ValidCycle<'_>,
+        explained: &Explained,
+        (plain, load_change): (&RelativeEstimate, Option<f64>),
+    ) -> Option<RelativeEstimate> {
+        let explanation = &explained.explanation;
+        // Beside a leak the other cause must be certain: it would carry the baseline over what nobody knows.
+        let is_open =
+            matches!(explanation.verdict, Verdict::Unknown | Verdict::Named(Cause::PistonSeal, None));
+        let (kind, has_leak) = explanation.other.filter(|_| !is_open)?;
+        if !cause::is_taken_off(kind, load_change.is_some(), plain.out_of_distribution.score > 1.0) {
+            return None;
+        }
+        let mut present = cycle.statistics.phase_means();
+        for (mean, response) in present.iter_mut().zip(&explanation.response) {
+            *mean -= response;
+        }
+        let baseline = &self.baseline.mean;
+        let present = present.get(..relative.phases())?;
+        let given = compare(relative, baseline, present, load_change, cycle.statistics.noise);
+        let healthy_limit_m2 = relative.kind(load_change.is_some(), baseline).calibration.healthy_limit;
+        Some(cause::beside(explanation, has_leak, given, healthy_limit_m2))
     }
 
     /// Compares a cycle that ends at a time, s. One unlike everything that training has seen leaves sums and trend alone.
     pub fn take(&mut self, model: &Model, cycle: &ValidCycle<'_>, end_s: f64) -> Option<ComparedCycle> {
-        let (estimate, load, load_change) = self.compare(model, cycle)?;
+        let (plain, load, load_change) = self.compare(model, cycle)?;
         let relative = model.relative()?;
-        let is_new = estimate.out_of_distribution.score > 1.0;
-        if !is_new {
+        let explained = self.explain(model, cycle);
+        let beside = explained
+            .as_ref()
+            .and_then(|explained| self.beside(relative, cycle, explained, (&plain, load_change)));
+        let is_unlike = beside.is_none() && plain.out_of_distribution.score > 1.0;
+        let estimate = beside.unwrap_or(plain);
+        if !is_unlike {
             self.cusum.take(estimate.leak_residual_m2, &self.limits(relative, load_change.is_some()));
             if self.cusum.cycles_since_onset() == 0 {
                 self.trend.clear();
@@ -131,7 +185,8 @@ impl BaselineComparator {
         }
         let finding = self.cusum.finding();
         let growth = if finding == CusumFinding::Leak { self.trend.growth() } else { None };
-        Some(ComparedCycle { estimate, load, load_change, finding, sum: self.cusum.sum(), growth })
+        let sum = self.cusum.sum();
+        Some(ComparedCycle { estimate, load, load_change, finding, sum, growth, explained, is_unlike })
     }
 
     fn limits(&self, relative: &Relative, knows_load: bool) -> CusumLimits {

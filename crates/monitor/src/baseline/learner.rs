@@ -17,6 +17,7 @@ struct Learned {
     start_ns: i64,
     end_ns: i64,
     means: [f64; MAX_PHASES],
+    rises: [f64; MAX_PHASES],
     noise: f64,
     load_n: Option<f64>,
     absolute: Estimate,
@@ -46,6 +47,7 @@ impl Learner {
             start_ns: cycle.start_ns,
             end_ns: cycle.end_ns,
             means: cycle.statistics.phase_means(),
+            rises: cycle.statistics.phase_rises(),
             noise: cycle.statistics.noise,
             load_n: cycle.statistics.load.filter(|load| !load.is_frozen()).map(|load| load.mean_n),
             absolute,
@@ -96,9 +98,9 @@ impl Learner {
 
     fn describe(&self, relative: &Relative, kept: &[&Learned], phases: usize) -> Baseline {
         let count = kept.len() as f64;
-        let mean: Vec<f64> = (0..phases)
-            .map(|phase| kept.iter().map(|cycle| cycle.means[phase]).sum::<f64>() / count)
-            .collect();
+        let average = |of: &dyn Fn(&Learned) -> f64| kept.iter().map(|cycle| of(cycle)).sum::<f64>() / count;
+        let mean: Vec<f64> = (0..phases).map(|phase| average(&|cycle| cycle.means[phase])).collect();
+        let rise = (0..phases).map(|phase| average(&|cycle| cycle.rises[phase])).collect();
         let repeatability =
             (0..phases).map(|phase| deviation(kept.iter().map(|cycle| cycle.means[phase]))).collect();
         let loads: Vec<f64> = kept.iter().filter_map(|cycle| cycle.load_n).collect();
@@ -127,6 +129,7 @@ impl Learner {
                 absolute(|estimate| estimate.interval[1]),
             ],
             mean,
+            rise,
             deviation: repeatability,
             remarks: Vec::new(),
         };

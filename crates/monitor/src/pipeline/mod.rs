@@ -192,6 +192,11 @@ impl Pipeline {
         })
     }
 
+    /// What has changed beside the seal since the baseline, in words; `None` where nothing has.
+    pub fn condition(&self) -> Option<&str> {
+        self.progress.condition.as_deref()
+    }
+
     /// The alarm.
     pub fn alarm(&self) -> &Alarm {
         &self.progress.alarm
@@ -285,6 +290,7 @@ impl Pipeline {
             reason: progress.alarm.reason(),
             leak_area_m2: area,
             leak_flow_lpm: area.map(|area| self.config.flow_lpm(area)),
+            condition: progress.condition.clone(),
             size_withheld,
             observed: size_withheld.map(|_| self.observation()),
             loss: area.map(|area| self.config.loss(self.config.flow_lpm(area))),

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use seepd_features::reader::MAX_FEATURES;
 use seepd_features::{CycleReader, CycleState, ReaderError, ValidCycle};
+use seepd_model::causes::Verdict;
 use seepd_model::{Attribution, Estimate, Model, OutOfDistribution};
 
 use crate::baseline::comparator::ComparedCycle;
@@ -107,11 +108,13 @@ pub(super) struct Announced {
     pub(super) load: LoadKnowledge,
     /// Cycles in a row that are unlike baseline or training.
     pub(super) unlike: u32,
+    /// What has changed beside the seal.
+    pub(super) condition: Option<Verdict>,
 }
 
 impl Default for Announced {
     fn default() -> Self {
-        Announced { finding: CusumFinding::None, load: LoadKnowledge::Inferred, unlike: 0 }
+        Announced { finding: CusumFinding::None, load: LoadKnowledge::Inferred, unlike: 0, condition: None }
     }
 }
 

@@ -6,12 +6,16 @@ use seepd_features::{Outcome, RejectedCycle, ValidCycle};
 use seepd_model::OutOfDistribution;
 
 use super::MonitorConfig;
+use seepd_model::causes::{Cause, Verdict};
+
 use super::monitor::{Absolute, CycleEstimator};
 use crate::alarm::{Alarm, Change};
 use crate::baseline::comparator::ComparedCycle;
 use crate::baseline::{CusumFinding, LoadKnowledge};
+use crate::cause::{Explained, TOLD_AFTER, condition, name_of};
 use crate::event::{
-    AbsoluteLine, ComparisonLine, CycleLine, Event, FeatureValues, Flag, FlagEvent, Notice, NoticeKind,
+    AbsoluteLine, Candidates, CauseLine, ComparisonLine, CycleLine, Event, FeatureValues, Flag, FlagEvent,
+    Notice, NoticeKind,
 };
 use crate::reason::{UNLIKE_BASELINE, UNLIKE_TRAINING};
 
@@ -35,6 +39,8 @@ pub(super) struct Progress {
     pub(super) valid: u64,
     rejected: [(&'static str, u64); REASONS],
     recent_m2: [f64; RECENT],
+    /// What has changed beside the seal, in words.
+    pub(super) condition: Option<String>,
 }
 
 impl Progress {
@@ -131,6 +137,7 @@ impl Progress {
             reason: None,
             absolute: None,
             comparison: None,
+            cause: None,
             relative: None,
             features: None,
         }
@@ -148,11 +155,10 @@ impl Progress {
         let compared = estimator.compare_cycle(valid, self.seconds(valid.end_ns));
         let out_of_distribution =
             compared.map_or(absolute.out_of_distribution, |compared| compared.estimate.out_of_distribution);
-        let reason = (out_of_distribution.score > 1.0).then_some(if compared.is_some() {
-            UNLIKE_BASELINE
-        } else {
-            UNLIKE_TRAINING
-        });
+        let reason = match &compared {
+            Some(compared) => compared.is_unlike.then_some(UNLIKE_BASELINE),
+            None => (out_of_distribution.score > 1.0).then_some(UNLIKE_TRAINING),
+        };
         let estimate = compared.map_or(absolute.estimate, |compared| compared.estimate.estimate);
         let flow_lpm = config.flow_lpm(estimate.value);
         let change = if let Some(reason) = reason {
@@ -177,12 +183,16 @@ impl Progress {
             reason,
             absolute: Some(absolute_line(&absolute, names)),
             comparison: compared.as_ref().map(|compared| comparison_line(config, estimator, compared)),
+            cause: compared.as_ref().and_then(|compared| self.cause_line(compared)),
             features: Some(FeatureValues { names, values: valid.features }),
             ..self.blank_line(config, valid.start_ns, valid.end_ns)
         };
         sink(&Event::Cycle(line));
         if let Some(compared) = &compared {
             self.tell_findings(config, estimator, valid.end_ns, compared, sink);
+            if let Some(explained) = &compared.explained {
+                self.tell_condition(config, estimator, valid.end_ns, explained, sink);
+            }
         }
         self.tell_out_of_distribution(config, estimator, valid.end_ns, (out_of_distribution, reason), sink);
         if let Some(learned) = estimator.learn_from(valid, absolute.estimate) {
@@ -193,6 +203,22 @@ impl Progress {
             self.tell(config, estimator.name.as_deref(), news, valid.end_ns, sink);
         }
         change
+    }
+
+    fn cause_line<'l>(&self, compared: &'l ComparedCycle) -> Option<CauseLine<'l>> {
+        let Explained { explanation, changed, .. } = compared.explained.as_ref()?;
+        let also = match explanation.verdict {
+            Verdict::Named(_, also) => also,
+            _ => None,
+        };
+        Some(CauseLine {
+            cause: name_of(explanation.verdict),
+            cause_probability: explanation.probability,
+            cause_also: also.map(Cause::name),
+            cause_candidates: Candidates(explanation.candidates()),
+            distinguish: condition::distinguish(explanation),
+            onset_cycle: (*changed > 0).then(|| (self.cycle + 1).saturating_sub(*changed)),
+        })
     }
 
     /// Tells what has changed against the baseline, once each.
@@ -229,6 +255,42 @@ impl Progress {
                 .to_owned();
             self.tell(config, estimator.name.as_deref(), (NoticeKind::LoadFrozen, text), at_ns, sink);
         }
+    }
+
+    /// Tells a condition other than the seal's once it has lasted, and that it has passed.
+    fn tell_condition(
+        &mut self,
+        config: &MonitorConfig,
+        estimator: &mut CycleEstimator,
+        at_ns: i64,
+        explained: &Explained,
+        sink: &mut impl FnMut(&Event<'_>),
+    ) {
+        if explained.agreeing < TOLD_AFTER {
+            return;
+        }
+        let sentence = condition::sentence(&explained.explanation);
+        // Sizes go on changing: news is another cause.
+        let verdict = sentence.as_ref().map(|_| explained.explanation.verdict);
+        let is_news = estimator.announced.condition != verdict;
+        self.condition.clone_from(&sentence);
+        estimator.announced.condition = verdict;
+        if !is_news {
+            return;
+        }
+        let news = match (sentence, explained.explanation.verdict) {
+            (Some(sentence), Verdict::Named(..)) => {
+                let text =
+                    format!("{sentence} The baseline is carried over this change: leaks are sized beside it");
+                (NoticeKind::ConditionFound, text)
+            }
+            (Some(sentence), _) => (NoticeKind::ConditionFound, sentence.trim_end_matches('.').to_owned()),
+            (None, _) => (
+                NoticeKind::ConditionGone,
+                "nothing but the seal is otherwise than at the baseline any more".to_owned(),
+            ),
+        };
+        self.tell(config, estimator.name.as_deref(), news, at_ns, sink);
     }
 
     /// Tells that several cycles in a row are unlike the baseline, or unlike training where there is none.
@@ -347,7 +409,7 @@ fn comparison_line<'l>(
     estimator: &'l CycleEstimator,
     compared: &'l ComparedCycle,
 ) -> ComparisonLine<'l> {
-    let ComparedCycle { estimate, load, load_change, finding, sum, growth } = compared;
+    let ComparedCycle { estimate, load, load_change, finding, sum, growth, .. } = compared;
     let known = estimator.contributors.len() - usize::from(load_change.is_none());
     let area_of = |flow_lpm: f64| flow_lpm / config.flow_lpm(1.0);
     let until = |flow_lpm| growth.map(|growth| growth.time_to(area_of(flow_lpm)));
