@@ -2,6 +2,7 @@
 
 pub mod axis;
 pub mod cause;
+pub mod change;
 pub mod foreign;
 pub mod press;
 pub mod score;

@@ -49,6 +49,9 @@ enum Command {
     #[cfg(feature = "gap")]
     #[command(hide = true)]
     AdoptBlind(commands::adopt_blind::AdoptBlindArguments),
+    #[cfg(feature = "gap")]
+    #[command(hide = true)]
+    CauseBlind(commands::cause_blind::CauseBlindArguments),
     Inspect(commands::inspect::InspectArguments),
     Check(commands::check::CheckArguments),
     Explain(commands::explain::ExplainArguments),
@@ -91,6 +94,8 @@ pub fn main() -> ExitCode {
         Command::Adopt(arguments) => commands::adopt::run(arguments),
         #[cfg(feature = "gap")]
         Command::AdoptBlind(arguments) => commands::adopt_blind::run(arguments),
+        #[cfg(feature = "gap")]
+        Command::CauseBlind(arguments) => commands::cause_blind::run(arguments),
         Command::Inspect(arguments) => commands::inspect::run(arguments),
         Command::Check(arguments) => commands::check::run(arguments),
         Command::Explain(arguments) => commands::explain::run(arguments),

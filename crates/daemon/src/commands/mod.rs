@@ -6,6 +6,8 @@ pub mod adopt;
 pub mod adopt_blind;
 #[cfg(feature = "gap")]
 pub mod blind;
+#[cfg(feature = "gap")]
+pub mod cause_blind;
 pub mod check;
 #[cfg(feature = "simulate")]
 pub mod demo;
