@@ -5,7 +5,6 @@ use std::collections::BTreeMap;
 use seepd_gap::{Calibration, CalibrationSettings, Log, Record, RecordError, calibrate};
 use seepd_signals::Signal;
 use seepd_sim::{MachineSpec, SpecError};
-use seepd_train::UnknownLoad;
 
 use crate::controller::{FittedGains, fit_gains};
 use crate::drive::{
@@ -60,8 +59,8 @@ pub struct Adoption {
     pub noise: f64,
     /// Standard deviation of the load from cycle to cycle, share of its range; `None` where the log has no load.
     pub load_spread: Option<f64>,
-    /// What may press against the piston unknown.
-    pub unknown_load: Option<UnknownLoad>,
+    /// Whether the piston may meet a contact that the log does not show.
+    pub unknown_contact: bool,
     /// What to know, one line each.
     pub remarks: Vec<String>,
 }
@@ -223,7 +222,9 @@ impl Adopter<'_> {
         Ok(Adoption {
             noise: self.recording.log.get(Signal::Command).map_or(0.0, noise_of),
             load_spread: self.load_spread(),
-            unknown_load: self.unknown_load(origin),
+            // With the command alone the demand takes up what presses; drawn beside it, it made sizes worse.
+            unknown_contact: origin != DemandOrigin::Command
+                && self.recording.log.get(Signal::Load).is_none(),
             spec: spec.with_stable_steps(),
             values,
             gains,
@@ -392,15 +393,6 @@ impl Adopter<'_> {
             );
         }
         is_better
-    }
-
-    /// What may press against the piston without the log or its fit showing it.
-    fn unknown_load(&self, demand: DemandOrigin) -> Option<UnknownLoad> {
-        match demand {
-            _ if self.recording.log.get(Signal::Load).is_some() => None,
-            DemandOrigin::Command => Some(UnknownLoad::ContactOrProcess),
-            DemandOrigin::Log | DemandOrigin::Position => Some(UnknownLoad::Contact),
-        }
     }
 
     fn load_spread(&self) -> Option<f64> {

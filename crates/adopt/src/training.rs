@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use seepd_features::Kalman;
 use seepd_sim::MachineSpec;
 use seepd_sim::series::Tolerances;
-use seepd_train::{Conditions, Spread, TrainingSettings, UnknownLoad};
+use seepd_train::{Conditions, Spread, TrainingSettings};
 use serde::{Deserialize, Serialize};
 
 use crate::adoption::Adoption;
@@ -38,9 +38,9 @@ pub struct TrainingBasis {
     pub noise: f64,
     /// Standard deviation of the load from cycle to cycle, share of its range, where the log has a load.
     pub load_spread: Option<f64>,
-    /// What may press against the piston unknown, where the log has no load.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unknown_load: Option<UnknownLoad>,
+    /// Whether the piston may meet a contact that the log does not show.
+    #[serde(default)]
+    pub unknown_contact: bool,
     /// How much the period varies, half of what nine of ten cycles lie between, share.
     pub period_spread: f64,
 }
@@ -52,7 +52,7 @@ impl TrainingBasis {
             tolerances: adoption.tolerances(),
             noise: adoption.noise,
             load_spread: adoption.load_spread,
-            unknown_load: adoption.unknown_load,
+            unknown_contact: adoption.unknown_contact,
             period_spread: 0.5 * found.period.spread_s() / found.period_s,
         }
     }
@@ -75,14 +75,19 @@ impl TrainingBasis {
             cause_machines: count(usual.cause_machines).max(8),
             calibrated_on: count(usual.calibrated_on).max(512),
             tested_on: count(usual.tested_on).max(128),
-            spread: Spread { parameters: tolerances.clone(), load, period, unknown_load: self.unknown_load },
+            spread: Spread {
+                parameters: tolerances.clone(),
+                load,
+                period,
+                unknown_contact: self.unknown_contact,
+            },
             noise: ((noise / NOISE_ROOM).max(1e-4), (noise * NOISE_ROOM).max(0.003)),
             filter: Some(filter(spec.cycle.period_s, c.log_period_s())),
             conditions: Conditions {
                 parameters: tolerances,
                 machine_load: load,
                 period,
-                unknown_load: self.unknown_load,
+                unknown_contact: self.unknown_contact,
                 ..Conditions::default()
             },
             ..usual

@@ -11,7 +11,7 @@ use seepd_sim::noise::Noise;
 use seepd_sim::series::{self, Tolerances};
 
 use crate::leak_range::LeakRange;
-use crate::unknown_load::UnknownLoad;
+use crate::unknown_contact;
 
 /// How simulated machines differ from the plan.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,13 +22,13 @@ pub struct Spread {
     pub load: f64,
     /// The duty cycle's time is scaled within ± this share.
     pub period: f64,
-    /// Forces that nobody knows of.
-    pub unknown_load: Option<UnknownLoad>,
+    /// Whether half of the machines meet a contact that nobody knows of.
+    pub unknown_contact: bool,
 }
 
 impl Default for Spread {
     fn default() -> Self {
-        Spread { parameters: Tolerances::even(0.05), load: 0.05, period: 0.03, unknown_load: None }
+        Spread { parameters: Tolerances::even(0.05), load: 0.05, period: 0.03, unknown_contact: false }
     }
 }
 
@@ -67,8 +67,8 @@ pub fn draw(
             let stream = purpose.wrapping_mul(1 << 32) + index as u64;
             let mut noise = Noise::new(seed, stream);
             let mut varied = series::vary(spec, &spread.parameters, &mut noise);
-            if let Some(unknown) = spread.unknown_load {
-                unknown.put_on(&mut varied, &mut noise);
+            if spread.unknown_contact {
+                unknown_contact::put_on(&mut varied, &mut noise);
             }
             let load_factor = noise.factor(spread.load);
             let stretch = noise.factor(spread.period);

@@ -13,11 +13,10 @@ pub mod relative;
 pub mod report;
 mod search;
 pub mod train;
-mod unknown_load;
+mod unknown_contact;
 
 pub use dataset::Spread;
 pub use relative::{Conditions, RelativeReport};
 pub use report::Report;
 pub use search::BestForest;
 pub use train::{TrainError, Trained, TrainingSettings, train};
-pub use unknown_load::UnknownLoad;

@@ -27,7 +27,7 @@ use crate::linear;
 use crate::out_of_distribution;
 use crate::report::NOISE_LEVELS;
 use crate::train::TrainingSettings;
-use crate::unknown_load::UnknownLoad;
+use crate::unknown_contact;
 
 /// Cycles that a baseline is the mean of.
 pub const BASELINE_CYCLES: usize = 50;
@@ -54,8 +54,8 @@ pub struct Conditions {
     pub supply: f64,
     /// Share of the machines whose valve has a dead band beside the plant file's, and its largest half width, share of full command.
     pub deadband: (f64, f64),
-    /// Forces that nobody knows of, which a machine keeps.
-    pub unknown_load: Option<UnknownLoad>,
+    /// Whether half of the machines meet a contact that nobody knows of.
+    pub unknown_contact: bool,
 }
 
 impl Default for Conditions {
@@ -68,7 +68,7 @@ impl Default for Conditions {
             oil_c: (30.0, 60.0),
             supply: 0.01,
             deadband: (1.0 / 3.0, 0.02),
-            unknown_load: None,
+            unknown_contact: false,
         }
     }
 }
@@ -87,8 +87,8 @@ impl Conditions {
         if noise.uniform(0.0, 1.0) < share {
             observation.spec = series::with_more_deadband(&observation.spec, noise.uniform(0.0, widest));
         }
-        if let Some(unknown) = self.unknown_load {
-            unknown.put_on(&mut observation.spec, noise);
+        if self.unknown_contact {
+            unknown_contact::put_on(&mut observation.spec, noise);
         }
         observation
     }

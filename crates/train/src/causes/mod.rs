@@ -18,6 +18,7 @@ use crate::conformal::significant;
 use crate::dataset::{self, Observation, Reading};
 use crate::relative::{Conditions, simulate_stably};
 use crate::train::TrainingSettings;
+use crate::unknown_contact;
 
 use basis::Basis;
 use curves::Curve;
@@ -68,8 +69,8 @@ impl CauseSimulator<'_> {
     fn of_series(&self, stream: u64, noise: &mut Noise) -> Observation {
         let spread = &self.settings.spread;
         let mut spec = series::vary(self.spec, &spread.parameters, noise);
-        if let Some(unknown) = spread.unknown_load {
-            unknown.put_on(&mut spec, noise);
+        if spread.unknown_contact {
+            unknown_contact::put_on(&mut spec, noise);
         }
         let (load_factor, stretch) = (noise.factor(spread.load), noise.factor(spread.period));
         Observation { spec, load_factor, stretch, leak_area_m2: 0.0, stream }
