@@ -117,7 +117,9 @@ fn a_leak_alone_is_a_leak_and_a_healthy_machine_has_no_cause() {
 #[test]
 fn a_leak_beside_a_shifted_null_is_sized_within_its_interval() {
     let place = &*PLACE;
-    for (leak_lpm, null) in [(0.3, 0.005), (1.0, 0.005), (0.3, -0.005), (1.0, -0.005), (0.3, 0.02)] {
+    let beside =
+        [(0.3, 0.005), (1.0, 0.003), (1.0, 0.005), (1.5, 0.005), (0.3, -0.005), (1.0, -0.005), (0.3, 0.02)];
+    for (leak_lpm, null) in beside {
         let with = format!("valve_bias.offset={null}");
         let lines = place.after(&format!("beside-{leak_lpm}-{null}"), leak_lpm, &[&with]);
         let last = cycles(&lines).last().unwrap();

@@ -92,8 +92,13 @@ impl Causes {
         self.fit_beside(whitened, cells, None)
     }
 
-    /// The same in what is left of all coordinates beside a direction of length 1.
-    pub(super) fn fit_beside(&self, whitened: &Whitened, cells: &[&Cell], beside: Option<&Vector>) -> Fit {
+    /// The same in what is left of all coordinates beside a direction of length 1, with the error of the response that lies along it.
+    pub(super) fn fit_beside(
+        &self,
+        whitened: &Whitened,
+        cells: &[&Cell],
+        beside: Option<(&Vector, f64)>,
+    ) -> Fit {
         let n = whitened.count;
         let weighted = |values: &[f64]| -> Vector {
             let mut weighted = [0.0; MAX_NUMBERS];
@@ -103,7 +108,7 @@ impl Causes {
             weighted
         };
         let projected = |mut vector: Vector| -> Vector {
-            if let Some(beside) = beside {
+            if let Some((beside, _)) = beside {
                 let along = dot(&vector[..n], &beside[..n]);
                 for (value, direction) in vector.iter_mut().zip(beside) {
                     *value -= along * direction;
@@ -113,7 +118,8 @@ impl Causes {
         };
         let mut rest = whitened.change;
         let whole = dot(&rest[..n], &rest[..n]);
-        let mut scale = 1.0;
+        // That response may be all of the change: without its error, what its law leaves would be held against the exact ones of these cells.
+        let mut scale = 1.0 + beside.map_or(0.0, |(_, error)| error * error * whole / n as f64);
         let mut directions = [[0.0; MAX_NUMBERS]; MOST_DIRECTIONS];
         let mut rank = 0;
         for (place, cell) in cells.iter().enumerate() {

@@ -1,6 +1,6 @@
 //! What has changed since the baseline: the piston seal, the valve, the load, the controller, or nothing.
 //!
-//! A cause changes the mean command of each phase, and what the command rises by within it, in a pattern of its own. A [`Cell`] is a
+//! A cause changes the mean command of each phase, and what the command rises by within it, in a pattern of its own. A cell is a
 //! cause at some range of sizes: a normal distribution of that pattern over machines, days, laws and sizes within the range, as
 //! training has simulated it. A change is explained by no cell, by one, or by one of the seal and one of another cause, whose patterns
 //! then add; Bayes' rule weighs these hypotheses. [`CausesFile`] has the numbers.

@@ -177,10 +177,12 @@ impl<'c> Weighed<'c> {
     fn weigh_pairs(&mut self, best: &mut f64) {
         let causes = self.causes;
         let leaks = || causes.cells.iter().enumerate().filter(|(_, cell)| cell.is_seal && cell.size > 0.0);
-        let Some(leak) = leaks().map(|(_, cell)| self.unit(cell)).next() else { return };
+        let Some((leak, error)) = leaks().map(|(_, cell)| (self.unit(cell), cell.error)).next() else {
+            return;
+        };
         let mut tried = [(f64::NEG_INFINITY, 0); TRIED_BESIDE];
         for (index, cell) in causes.cells.iter().enumerate().filter(|(_, cell)| causes.adds_to_a_leak(cell)) {
-            let fit = causes.fit_beside(&self.whitened, &[cell], Some(&leak));
+            let fit = causes.fit_beside(&self.whitened, &[cell], Some((&leak, error)));
             let weight = causes.priors[index][1] + fit.log_likelihood;
             if weight > tried[TRIED_BESIDE - 1].0 {
                 let at = tried.partition_point(|(other, _)| *other >= weight);
