@@ -118,8 +118,7 @@ impl Causes {
         };
         let mut rest = whitened.change;
         let whole = dot(&rest[..n], &rest[..n]);
-        // That response may be all of the change: without its error, what its law leaves would be held against the exact ones of these cells.
-        let mut scale = 1.0 + beside.map_or(0.0, |(_, error)| error * error * whole / n as f64);
+        let mut scale = 1.0;
         let mut directions = [[0.0; MAX_NUMBERS]; MOST_DIRECTIONS];
         let mut rank = 0;
         for (place, cell) in cells.iter().enumerate() {
@@ -136,7 +135,9 @@ impl Causes {
             }
             // The last cell's response is the change, or most of it: its error goes by that, whichever cell it is.
             let length = if place + 1 == cells.len() { whole } else { square };
-            scale += cell.error * cell.error * length / n as f64;
+            // The response beside may be all of the change: what its law leaves must not be held against a cell that is exact.
+            let error = beside.map_or(cell.error, |(_, error)| cell.error.max(error));
+            scale += error * error * length / n as f64;
         }
         let rest = projected(rest);
         let (mut factor, mut along) = ([[0.0; MOST_DIRECTIONS]; MOST_DIRECTIONS], [0.0; MOST_DIRECTIONS]);
