@@ -104,7 +104,7 @@ function showCondition(axis) {
   byId("condition").style.setProperty("--state", "var(--" + axis.flag + ")");
   byId("flag").textContent = FLAGS[axis.flag];
   byId("reason").textContent = axis.reason ? told(axis.reason) : axis.cycles + " cycles with an estimate";
-  byId("condition").textContent = axis.condition ? "Beside the seal: " + axis.condition : "";
+  byId("beside").textContent = axis.condition ? "Beside the seal: " + axis.condition : "";
   byId("advice").textContent = axis.advice || "";
   const known = axis.flag !== "no_estimate";
   byId("flow").textContent = known ? number(axis.leak_flow_lpm) : "–";
