@@ -7,7 +7,7 @@
 
 use seepd_gap::SimulatedAxis;
 use seepd_sim::batch::follow;
-use seepd_sim::cycle::{DriveSample, LoadCorner, Move};
+use seepd_sim::cycle::{DriveSample, LoadCorner, Move, load_at};
 use seepd_sim::{DutyCycle, MachineSpec};
 
 use crate::duty_cycle::FoundCycle;
@@ -318,8 +318,7 @@ pub fn load_corners(load_n: Option<&[f64]>, weight_n: f64, largest_n: f64, tick_
 
 /// The plan's load by tick, N.
 pub fn load_by_tick(load: &[LoadCorner], ticks: usize, tick_s: f64) -> Vec<f64> {
-    let cycle = DutyCycle { load: load.to_vec(), ..DutyCycle::default() };
-    (0..ticks).map(|tick| cycle.load_n(tick as f64 * tick_s)).collect()
+    (0..ticks).map(|tick| load_at(load, tick as f64 * tick_s)).collect()
 }
 
 /// Speed over command where a recording moves, m/s at full command; `None` without a position.

@@ -8,10 +8,10 @@
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use seepd_sim::batch::{self, Job};
-use seepd_sim::cycle::{CycleRun, LoadCorner, Move};
+use seepd_sim::cycle::{CycleRun, LoadCorner, Move, sum_of_loads};
 use seepd_sim::{DutyCycle, MachineSpec};
 
-use crate::strokes::slope;
+use crate::strokes::{range, slope};
 
 /// Shares of a move's time between which a force grows: with the stroke, at its end, or all along.
 const SHAPES: [(f64, f64); 3] = [(0.0, 0.3), (0.8, 1.0), (0.0, 1.0)];
@@ -97,20 +97,21 @@ impl Words {
         match self {
             Words::Weight => format!("a constant force of {:+.1} kN", force(0)),
             Words::Process => {
-                format!("a force of {:+.1} kN on the moves out, until the next move back", force(2))
+                let size = force(CONSTANT_AND_FRICTION);
+                format!("a force of {size:+.1} kN on the moves out, until the next move back")
             }
             Words::Contact { at_m } => {
                 format!(
                     "a contact from {:.1} mm on that gives way, with {:.1} kN at the deepest",
                     1e3 * at_m,
-                    -force(2)
+                    -force(CONSTANT_AND_FRICTION)
                 )
             }
             Words::EachMove(names) => {
                 let each = names
                     .iter()
                     .enumerate()
-                    .map(|(index, name)| format!("{name} {:+.1} kN", force(index + 2)));
+                    .map(|(index, name)| format!("{name} {:+.1} kN", force(CONSTANT_AND_FRICTION + index)));
                 format!("a force of its own for each move: {}", each.collect::<Vec<_>>().join(", "))
             }
         }
@@ -139,20 +140,14 @@ impl Explanation {
 
 fn explanations(cycle: &DutyCycle) -> Vec<Explanation> {
     let moves = &cycle.moves;
-    let starts: Vec<f64> = (0..moves.len())
-        .map(|index| if index == 0 { cycle.start_position_m() } else { moves[index - 1].to_m })
-        .collect();
-    let out: Vec<f64> = moves
-        .iter()
-        .zip(&starts)
-        .map(|(stroke, start_m)| f64::from(u8::from(stroke.to_m > *start_m)))
-        .collect();
+    let out: Vec<f64> =
+        cycle.moves_from().map(|(from_m, stroke)| f64::from(u8::from(stroke.to_m > from_m))).collect();
     let mut all = vec![Explanation::NONE];
     for shape in SHAPES {
-        all.push(Explanation { words: Words::Process, profiles: vec![lasting(moves, shape, &out)] });
+        let profiles = vec![cycle.load_by_moves(&out, |_| shape)];
+        all.push(Explanation { words: Words::Process, profiles });
     }
-    let ends = moves.iter().map(|stroke| stroke.to_m);
-    let (low, high) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
+    let (low, high) = cycle.reach_m();
     for depth in DEPTHS {
         let at_m = high - depth * (high - low);
         all.push(Explanation { words: Words::Contact { at_m }, profiles: vec![contact(cycle, at_m, high)] });
@@ -163,26 +158,13 @@ fn explanations(cycle: &DutyCycle) -> Vec<Explanation> {
             let one = |index: usize| -> Vec<f64> {
                 (0..moves.len()).map(|k| f64::from(u8::from(k == index))).collect()
             };
-            let profiles = (0..moves.len()).map(|index| lasting(moves, shape, &one(index))).collect();
+            let profiles =
+                (0..moves.len()).map(|index| cycle.load_by_moves(&one(index), |_| shape)).collect();
             let names = moves.iter().map(|stroke| stroke.name.clone()).collect();
             all.push(Explanation { words: Words::EachMove(names), profiles });
         }
     }
     all
-}
-
-/// A force that each move brings to a level of its own, which lasts until the next one.
-fn lasting(moves: &[Move], (begins, ends): (f64, f64), levels: &[f64]) -> Vec<LoadCorner> {
-    let mut before = levels.last().copied().unwrap_or(0.0);
-    let mut corners = vec![LoadCorner { at_s: 0.0, force_n: before }];
-    for (stroke, level) in moves.iter().zip(levels) {
-        let at = |share: f64| stroke.from_s + share * (stroke.to_s - stroke.from_s);
-        corners.push(LoadCorner { at_s: at(begins), force_n: before });
-        corners.push(LoadCorner { at_s: at(ends), force_n: *level });
-        before = *level;
-    }
-    corners.dedup_by(|later, earlier| later.at_s <= earlier.at_s);
-    corners
 }
 
 /// The force of a contact that gives way in proportion, against the piston, over the planned positions.
@@ -191,7 +173,7 @@ fn contact(cycle: &DutyCycle, at_m: f64, deepest_m: f64) -> Vec<LoadCorner> {
     let mut corners = vec![LoadCorner { at_s: 0.0, force_n: pressed(cycle.demand_m(0.0)) }];
     for stroke in &cycle.moves {
         let step_s = (stroke.to_s - stroke.from_s) / 200.0;
-        let times: Vec<f64> = (0..=200).map(|k| stroke.from_s + step_s * f64::from(k)).collect();
+        let times: Vec<f64> = (0..=200).map(|k| stroke.at_s(f64::from(k) / 200.0)).collect();
         let touching: Vec<f64> =
             times.iter().copied().filter(|at_s| pressed(cycle.demand_m(*at_s)) < 0.0).collect();
         let every = touching.len().div_ceil(CONTACT_POINTS).max(1);
@@ -211,7 +193,7 @@ fn contact(cycle: &DutyCycle, at_m: f64, deepest_m: f64) -> Vec<LoadCorner> {
 /// An explanation with its forces.
 struct Fitted {
     explanation: Explanation,
-    /// The constant force beside the plan's, then one for each profile, N.
+    /// The constant force beside the plan's, the friction, then one for each profile, N.
     forces_n: Vec<f64>,
     /// RMS of what is left.
     rest: f64,
@@ -235,14 +217,13 @@ struct Problem<'a> {
 impl<'a> Problem<'a> {
     fn new(spec: &'a MachineSpec, command: &'a [f64]) -> Option<Self> {
         let ticks = stroke_ticks(spec, command.len().checked_sub(2)?);
-        let (low, high) =
-            command.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), u| (l.min(*u), h.max(*u)));
+        let range = range(command);
         let ones = DVector::from_element(ticks.len(), 1.0);
         let slopes = DVector::from_iterator(ticks.len(), ticks.iter().map(|tick| slope(command, *tick)));
         let mean = slopes.mean();
         let nuisances =
             [ones, slopes.add_scalar(-mean)].into_iter().filter_map(|v| v.try_normalize(1e-12)).collect();
-        (!ticks.is_empty() && high > low).then(|| Problem {
+        (!ticks.is_empty() && range > 0.0).then(|| Problem {
             spec,
             command,
             ticks,
@@ -250,28 +231,20 @@ impl<'a> Problem<'a> {
             constant_n: spec.cycle.load.first().map_or(0.0, |corner| corner.force_n),
             friction: friction(&spec.cycle),
             largest_n: spec.plant.cap_area_m2 * spec.plant.relief_pressure_pa,
-            least: LEAST_REST * (high - low),
+            least: LEAST_REST * range,
         })
     }
 
     /// The load under an explanation with those forces, and with its friction where the simulation has to have it as a load.
     fn load(&self, explanation: &Explanation, forces_n: &[f64], with_friction: bool) -> Vec<LoadCorner> {
-        let friction = with_friction.then_some(&self.friction);
-        let courses = explanation.profiles.iter().chain(friction);
-        let mut times: Vec<f64> = courses.flatten().map(|corner| corner.at_s).chain([0.0]).collect();
-        times.sort_by(f64::total_cmp);
-        times.dedup();
-        let of = |profile: &Vec<LoadCorner>| DutyCycle { load: profile.clone(), ..DutyCycle::default() };
-        let profiles: Vec<DutyCycle> = explanation.profiles.iter().map(of).collect();
-        let friction = friction.map(of);
-        let force_n = |at_s: f64| {
-            let courses = profiles.iter().zip(&forces_n[CONSTANT_AND_FRICTION..]);
-            self.constant_n
-                + forces_n[0]
-                + friction.as_ref().map_or(0.0, |friction| forces_n[1] * friction.load_n(at_s))
-                + courses.map(|(profile, size_n)| size_n * profile.load_n(at_s)).sum::<f64>()
-        };
-        times.into_iter().map(|at_s| LoadCorner { at_s, force_n: force_n(at_s) }).collect()
+        let constant = [LoadCorner { at_s: 0.0, force_n: self.constant_n + forces_n[0] }];
+        let mut loads: Vec<(f64, &[LoadCorner])> = vec![(1.0, &constant)];
+        if with_friction {
+            loads.push((forces_n[1], &self.friction));
+        }
+        let profiles = explanation.profiles.iter().zip(&forces_n[CONSTANT_AND_FRICTION..]);
+        loads.extend(profiles.map(|(profile, size_n)| (*size_n, profile.as_slice())));
+        sum_of_loads(&loads)
     }
 
     /// What the simulated machine's second cycle leaves of the strokes' command under each set of forces, but for the nuisances.
@@ -344,14 +317,11 @@ impl<'a> Problem<'a> {
 
 /// A force of 1 N against each move while it lasts, as friction is.
 fn friction(cycle: &DutyCycle) -> Vec<LoadCorner> {
-    let mut before_m = cycle.start_position_m();
     let mut corners = vec![LoadCorner { at_s: 0.0, force_n: 0.0 }];
-    for stroke in &cycle.moves {
-        let against = (before_m - stroke.to_m).signum();
+    for (from_m, stroke) in cycle.moves_from() {
+        let against = (from_m - stroke.to_m).signum();
         let courses = [(0.0, 0.0), (EDGE, against), (1.0 - EDGE, against), (1.0, 0.0)];
-        let at = |share: f64| stroke.from_s + share * (stroke.to_s - stroke.from_s);
-        corners.extend(courses.map(|(share, force_n)| LoadCorner { at_s: at(share), force_n }));
-        before_m = stroke.to_m;
+        corners.extend(courses.map(|(share, force_n)| LoadCorner { at_s: stroke.at_s(share), force_n }));
     }
     corners.dedup_by(|later, earlier| later.at_s <= earlier.at_s);
     corners
@@ -377,6 +347,8 @@ fn rms(rest: &DVector<f64>) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use seepd_sim::cycle::load_at;
+
     use super::*;
 
     /// A press whose log has no load: what presses while it extends and holds is read off its command within a tenth, and a machine
@@ -414,9 +386,9 @@ mod tests {
         ];
         let found = read_off(&spec, &command_of(pressed)).unwrap();
         assert!(found.left < 0.3 && found.words.contains("each move"), "{found:?}");
-        let found = DutyCycle { load: found.load, ..DutyCycle::default() };
         for (at_s, wanted_n) in [(0.2, -2e3), (2.7, -12e3), (5.0, -18e3), (9.0, -2e3)] {
-            assert!((found.load_n(at_s) - wanted_n).abs() < 1200.0, "{at_s}: {}", found.load_n(at_s));
+            let force_n = load_at(&found.load, at_s);
+            assert!((force_n - wanted_n).abs() < 1200.0, "{at_s}: {force_n}");
         }
 
         // The tool meets its work 10 mm before the deepest place, which gives way by 1 kN a millimetre.
@@ -426,7 +398,7 @@ mod tests {
             .collect();
         let found = read_off(&spec, &command_of(touching)).unwrap();
         assert!(found.words.starts_with("a contact from 37"), "{found:?}");
-        let deepest_n = DutyCycle { load: found.load, ..DutyCycle::default() }.load_n(5.0);
+        let deepest_n = load_at(&found.load, 5.0);
         assert!((deepest_n + 12e3).abs() < 1500.0, "{deepest_n}");
     }
 }

@@ -37,6 +37,11 @@ impl Move {
         from + (to - from) * (place - before as f64)
     }
 
+    /// Time in the cycle at a share of the move's time, s.
+    pub fn at_s(&self, share: f64) -> f64 {
+        self.from_s + share * (self.to_s - self.from_s)
+    }
+
     /// Share of the time at which half of the way is first behind it.
     pub fn half_way(&self) -> f64 {
         let Some(after) = self.course.iter().position(|share| *share >= 0.5).filter(|after| *after > 0)
@@ -56,6 +61,26 @@ pub struct LoadCorner {
     pub at_s: f64,
     /// Force, N, positive in the extending direction.
     pub force_n: f64,
+}
+
+/// Load at a time, N: linear between its corners, constant outside them, none without a corner.
+pub fn load_at(corners: &[LoadCorner], at_s: f64) -> f64 {
+    let after = corners.partition_point(|corner| corner.at_s <= at_s);
+    match (after.checked_sub(1).map(|before| &corners[before]), corners.get(after)) {
+        (Some(a), Some(b)) => a.force_n + (b.force_n - a.force_n) * ((at_s - a.at_s) / (b.at_s - a.at_s)),
+        (Some(only), None) | (None, Some(only)) => only.force_n,
+        (None, None) => 0.0,
+    }
+}
+
+/// Loads one on the other, each with the factor by which it counts.
+pub fn sum_of_loads(loads: &[(f64, &[LoadCorner])]) -> Vec<LoadCorner> {
+    let corners = loads.iter().flat_map(|(_, load)| load.iter());
+    let mut times: Vec<f64> = corners.map(|corner| corner.at_s).collect();
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    let sum = |at_s: f64| loads.iter().map(|(factor, load)| factor * load_at(load, at_s)).sum();
+    times.into_iter().map(|at_s| LoadCorner { at_s, force_n: sum(at_s) }).collect()
 }
 
 /// The duty cycle: the `[cycle]` table of `plant.toml`. Before the first move the demand is where the last
@@ -125,14 +150,36 @@ impl DutyCycle {
         position
     }
 
+    /// Each move with the position from which it starts, m.
+    pub fn moves_from(&self) -> impl Iterator<Item = (f64, &Move)> {
+        let mut from_m = self.start_position_m();
+        self.moves.iter().map(move |stroke| (std::mem::replace(&mut from_m, stroke.to_m), stroke))
+    }
+
+    /// The lowest and the highest position at which a move ends, m.
+    pub fn reach_m(&self) -> (f64, f64) {
+        let ends = self.moves.iter().map(|stroke| stroke.to_m);
+        ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), end| (low.min(end), high.max(end)))
+    }
+
     /// Load at a time within the cycle, N.
     pub fn load_n(&self, at_s: f64) -> f64 {
-        let after = self.load.partition_point(|corner| corner.at_s <= at_s);
-        match (after.checked_sub(1).map(|before| &self.load[before]), self.load.get(after)) {
-            (Some(a), Some(b)) => a.force_n + (b.force_n - a.force_n) * ((at_s - a.at_s) / (b.at_s - a.at_s)),
-            (Some(only), None) | (None, Some(only)) => only.force_n,
-            (None, None) => 0.0,
+        load_at(&self.load, at_s)
+    }
+
+    /// A load that each move brings to a level of its own, N, which lasts until the next one. `grows` tells the shares of a move's time
+    /// between which a level comes.
+    pub fn load_by_moves(&self, levels_n: &[f64], grows: impl Fn(f64) -> (f64, f64)) -> Vec<LoadCorner> {
+        let mut before = levels_n.last().copied().unwrap_or(0.0);
+        let mut corners = vec![LoadCorner { at_s: 0.0, force_n: before }];
+        for (stroke, level) in self.moves.iter().zip(levels_n) {
+            let (from, to) = grows(*level);
+            corners.push(LoadCorner { at_s: stroke.at_s(from), force_n: before });
+            corners.push(LoadCorner { at_s: stroke.at_s(to), force_n: *level });
+            before = *level;
         }
+        corners.dedup_by(|later, earlier| later.at_s <= earlier.at_s);
+        corners
     }
 }
 
@@ -260,6 +307,21 @@ impl Iterator for Schedule {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn loads_add_up() {
+        let cycle = DutyCycle::default();
+        let pressed = cycle.load_by_moves(&[0.0, -100.0, 0.0], |_| (0.5, 1.0));
+        let both = sum_of_loads(&[(1.0, &cycle.load), (-2.0, &pressed)]);
+        for (at_s, wanted_n) in [(1.0, -2e3), (3.75, -15e3 + 100.0), (5.0, -15e3 + 200.0), (9.0, -2e3)] {
+            let sum_n = load_at(&both, at_s);
+            assert!((sum_n - wanted_n).abs() < 1e-9, "{at_s}: {sum_n}");
+        }
+        assert_eq!(sum_of_loads(&[]), []);
+        assert_eq!(cycle.reach_m(), (0.10, 0.38));
+        let from: Vec<f64> = cycle.moves_from().map(|(from_m, _)| from_m).collect();
+        assert_eq!(from, [0.10, 0.35, 0.38]);
+    }
 
     #[test]
     fn a_move_follows_its_course() {

@@ -85,15 +85,7 @@ const SLOW_SHARE: f64 = 0.15;
 
 fn anchoring_moves(spec: &MachineSpec) -> Result<AnchoringMoves, TrainError> {
     let moves = &spec.cycle.moves;
-    let mut position = spec.cycle.start_position_m();
-    let lengths: Vec<f64> = moves
-        .iter()
-        .map(|stroke| {
-            let length = stroke.to_m - position;
-            position = stroke.to_m;
-            length
-        })
-        .collect();
+    let lengths: Vec<f64> = spec.cycle.moves_from().map(|(from_m, stroke)| stroke.to_m - from_m).collect();
     let largest = largest_moves(&lengths)?;
     let waits = moves[..moves.len() - 1].iter().any(|stroke| stroke.wait_s > 0.0);
     if moves.len() <= FEW_MOVES && !waits {
@@ -127,7 +119,7 @@ fn demand_mark(spec: &MachineSpec, first: &Move) -> DemandMark {
     let before = spec.cycle.demand_m(first.from_s);
     DemandMark {
         level_m: 0.5 * (before + first.to_m),
-        at_s: first.from_s + first.half_way() * (first.to_s - first.from_s),
+        at_s: first.at_s(first.half_way()),
         rising: first.to_m > before,
     }
 }

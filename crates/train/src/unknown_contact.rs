@@ -2,9 +2,9 @@
 //!
 //! What a piston runs into at the end of its way is felt in the hold that follows, of which its strokes say little.
 
-use seepd_sim::cycle::LoadCorner;
+use seepd_sim::MachineSpec;
+use seepd_sim::cycle::sum_of_loads;
 use seepd_sim::noise::Noise;
-use seepd_sim::{DutyCycle, MachineSpec};
 
 /// Share of the machines that nothing presses against.
 const FREE: f64 = 0.5;
@@ -23,32 +23,12 @@ pub(crate) fn put_on(spec: &mut MachineSpec, noise: &mut Noise) {
         return;
     }
     let force_n = -size * spec.plant.cap_area_m2 * spec.plant.relief_pressure_pa;
-    let ends = spec.cycle.moves.iter().map(|stroke| stroke.to_m);
-    let (low, high) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), x| (l.min(x), h.max(x)));
-    let touches = |to_m: f64| if high - to_m <= TOUCHING * (high - low) { force_n } else { 0.0 };
+    let (low_m, high_m) = spec.cycle.reach_m();
+    let touches = |to_m: f64| if high_m - to_m <= TOUCHING * (high_m - low_m) { force_n } else { 0.0 };
     let levels: Vec<f64> = spec.cycle.moves.iter().map(|stroke| touches(stroke.to_m)).collect();
-    let contact = DutyCycle { load: lasting(&spec.cycle, &levels), ..DutyCycle::default() };
-    let planned = spec.cycle.clone();
-    let mut times: Vec<f64> = planned.load.iter().chain(&contact.load).map(|corner| corner.at_s).collect();
-    times.sort_by(f64::total_cmp);
-    times.dedup();
-    let sum = |at_s: f64| planned.load_n(at_s) + contact.load_n(at_s);
-    spec.cycle.load = times.into_iter().map(|at_s| LoadCorner { at_s, force_n: sum(at_s) }).collect();
-}
-
-/// Forces that come at the end of a move and go as the next one begins.
-fn lasting(cycle: &DutyCycle, levels: &[f64]) -> Vec<LoadCorner> {
-    let mut before = levels.last().copied().unwrap_or(0.0);
-    let mut corners = vec![LoadCorner { at_s: 0.0, force_n: before }];
-    for (stroke, level) in cycle.moves.iter().zip(levels) {
-        let at = |share: f64| stroke.from_s + share * (stroke.to_s - stroke.from_s);
-        let (from, to) = if *level == 0.0 { (0.0, GONE_BY) } else { (PRESSES_FROM, 1.0) };
-        corners.push(LoadCorner { at_s: at(from), force_n: before });
-        corners.push(LoadCorner { at_s: at(to), force_n: *level });
-        before = *level;
-    }
-    corners.dedup_by(|later, earlier| later.at_s <= earlier.at_s);
-    corners
+    let comes = |level: f64| if level == 0.0 { (0.0, GONE_BY) } else { (PRESSES_FROM, 1.0) };
+    let contact = spec.cycle.load_by_moves(&levels, comes);
+    spec.cycle.load = sum_of_loads(&[(1.0, &spec.cycle.load), (1.0, &contact)]);
 }
 
 #[cfg(test)]

@@ -336,7 +336,7 @@ pub fn write_log(
     let mut state = machine.start();
     let mut run = 0;
     let period_s = spec.controller.period_s;
-    let log_every = spec.controller.log_every.max(1) as u64;
+    let log_every = spec.controller.log_every as u64;
     let schedule = Schedule::new(&spec.cycle, period_s, runs.to_vec());
     let warm_up = schedule.ticks_of(0);
     let start_at = check("--start-at", arguments.start_at, 0.0, spec.cycle.period_s)?;
