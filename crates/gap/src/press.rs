@@ -7,7 +7,7 @@ use seepd_sim::batch::follow;
 use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::{self, EffectInfo, Parameter};
 use seepd_sim::real::{LANES, Lanes};
-use seepd_sim::{DutyCycle, MachineSpec, PlantParameters};
+use seepd_sim::{DutyCycle, MachineSpec, PlantParameters, Size};
 
 use crate::record::{BINS, RecordedCycle, bin_of, correlation};
 use crate::simulate::{BinnedSignals, bins_of};
@@ -29,7 +29,7 @@ const BY_FACTOR: &[(&str, f64, f64, f64)] = &[
 ];
 /// The return pressure is calibrated by addition: largest value, and standard deviation, Pa.
 const RETURN_PRESSURE_PA: (f64, f64) = (2.5e6, 2e5);
-/// Largest leak that is fitted, and its unit in the fit, m².
+/// Largest leak that is fitted, and its unit in the fit, m², for a valve of the nominal size.
 const LEAK_M2: (f64, f64) = (3e-5, 1e-7);
 
 /// The prior of a parameter whose bounds the file gives: one who gives wide bounds knows little.
@@ -79,12 +79,13 @@ impl SimulatedAxis for MachineSpec {
 
     fn wear(&self) -> Option<CalibratedParameter> {
         let key = "leak_area_m2";
-        let bounds = self.bounds_of(key).unwrap_or((0.0, LEAK_M2.0));
+        let valve = Size::of(self).valve;
+        let bounds = self.bounds_of(key).unwrap_or((0.0, valve * LEAK_M2.0));
         Some(CalibratedParameter {
             key,
             symbol: symbol_of(key),
             bounds,
-            scale: Scale::Linear(LEAK_M2.1),
+            scale: Scale::Linear(valve * LEAK_M2.1),
             sigma: None,
         })
     }
@@ -107,9 +108,9 @@ impl SimulatedAxis for MachineSpec {
         &mut self.effects
     }
 
-    /// Times end with the cycle, places with the stroke.
+    /// Times end with the cycle, places with the stroke; forces, volumes and flows go with the machine.
     fn range(&self, _effect: &EffectInfo, parameter: &Parameter) -> (f64, f64) {
-        let (low, high) = parameter.range;
+        let (low, high) = Size::of(self).range_of(parameter);
         match parameter.name {
             "start_s" | "duration_s" => (low, high.min(self.cycle.period_s)),
             "neutral_position_m" => (low, self.plant.stroke_m),

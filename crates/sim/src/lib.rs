@@ -12,6 +12,7 @@ pub mod plant;
 pub mod real;
 pub mod series;
 mod simd;
+pub mod size;
 pub mod spec;
 
 pub use controller::Controller;
@@ -19,4 +20,5 @@ pub use cycle::{DutyCycle, Schedule};
 pub use machine::{Input, Machine, MachineState, SimulatedSignals};
 pub use plant::{Plant, PlantParameters, State};
 pub use real::{Lanes, Real};
+pub use size::Size;
 pub use spec::{MachineSpec, SpecError};

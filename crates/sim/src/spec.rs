@@ -10,6 +10,7 @@ use crate::cycle::DutyCycle;
 use crate::effects::{self, Constants, Effect};
 use crate::plant::{Plant, PlantParameters, RK4_STABILITY_LIMIT};
 use crate::real::Real;
+use crate::size::Size;
 
 /// A plant that asks for more steps in a period has a number that is decades off.
 const ABSURD_STEPS: usize = 1_000_000;
@@ -324,7 +325,8 @@ impl MachineSpec {
                     return Err(unknown_name(format!("effects.{key}"), name, &known));
                 };
                 if *value != parameter.neutral {
-                    in_range(format!("effects.{key}.{name}"), *value, parameter.range.0, parameter.range.1)?;
+                    let (low, high) = Size::of(self).range_of(parameter);
+                    in_range(format!("effects.{key}.{name}"), *value, low, high)?;
                 }
             }
         }

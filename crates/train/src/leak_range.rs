@@ -1,7 +1,7 @@
 //! Which leaks a machine is trained on: the article's range, moved by octaves to the size of the machine's valve and cut by octaves where the
 //! machine cannot follow its duty cycle any more.
 
-use seepd_sim::MachineSpec;
+use seepd_sim::{MachineSpec, Size};
 
 /// Smallest and largest leak of the main range of the nominal press, m² (the article's), and the smallest that is tried.
 const MAIN_M2: (f64, f64) = (5e-8, 1e-5);
@@ -27,9 +27,7 @@ pub struct LeakRange {
 impl LeakRange {
     /// The range of a machine: a leak matters by what share of the valve's flow it takes.
     pub fn of(spec: &MachineSpec) -> Self {
-        let valve = |spec: &MachineSpec| spec.plant.valve_m3_per_s_sqrt_pa;
-        let octaves = libm::round(libm::log2(valve(spec) / valve(&MachineSpec::default())));
-        LeakRange { scale: libm::exp2(octaves), top: 1.0 }
+        LeakRange { scale: Size::of(spec).valve, top: 1.0 }
     }
 
     /// The same without the leaks of the uppermost octave; `None` where little would be left.

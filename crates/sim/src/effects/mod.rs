@@ -95,7 +95,9 @@ pub fn find(key: &str) -> Option<&'static dyn Effect> {
 pub fn reference() -> String {
     let mut text = String::from(
         "# Effects\n\nWhat the simulator can add to the nominal plant: in a plant file as a table `[effects.KEY]`, on the command line as \
-         `--with KEY.PARAMETER=VALUE`. An effect at its neutral value changes no bit. Written by `seepd simulate --list-effects`.\n",
+         `--with KEY.PARAMETER=VALUE`. An effect at its neutral value changes no bit. \
+         Ranges are the nominal press's; on a machine of another size those of forces, volumes, flows and pressures are larger or smaller by \
+         octaves. Written by `seepd simulate --list-effects`.\n",
     );
     for effect in ALL {
         let info = effect.info();
@@ -174,7 +176,8 @@ pub struct Parameter {
     pub unit: &'static str,
     /// Value at which the effect vanishes.
     pub neutral: f64,
-    /// Plausible range; values outside are refused.
+    /// Plausible range on the nominal press; on a machine of another size [`Size::range_of`](crate::Size::range_of) has it. Values outside
+    /// are refused.
     pub range: (f64, f64),
     /// Where the range comes from.
     pub source: &'static str,

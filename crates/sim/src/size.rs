@@ -1,0 +1,97 @@
+//! A machine's size over the nominal press's: what is plausible of an effect goes with it.
+//!
+//! By octaves: machines of one series are of one size, and the nominal press and its likes have the ranges of the catalogue to the bit.
+
+use crate::effects::Parameter;
+use crate::plant::PlantParameters;
+use crate::spec::MachineSpec;
+
+/// Ratios to the nominal press, powers of two.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Size {
+    /// Largest force of the piston.
+    pub force: f64,
+    /// Stroke.
+    pub length: f64,
+    /// Largest volume of a chamber.
+    pub volume: f64,
+    /// Relief pressure.
+    pub pressure: f64,
+    /// Flow of the valve at a given pressure drop.
+    pub valve: f64,
+}
+
+impl Size {
+    /// The size of a machine.
+    pub fn of(spec: &MachineSpec) -> Self {
+        let nominal = PlantParameters::default();
+        let over_nominal = |size: fn(&PlantParameters) -> f64| octaves(size(&spec.plant) / size(&nominal));
+        Size {
+            force: over_nominal(|p| p.cap_area_m2 * p.relief_pressure_pa),
+            length: over_nominal(|p| p.stroke_m),
+            volume: over_nominal(|p| p.cap_area_m2 * p.stroke_m),
+            pressure: over_nominal(|p| p.relief_pressure_pa),
+            valve: over_nominal(|p| p.valve_m3_per_s_sqrt_pa),
+        }
+    }
+
+    /// The plausible range of an effect's parameter on a machine of that size, by the parameter's unit.
+    pub fn range_of(&self, parameter: &Parameter) -> (f64, f64) {
+        let flow = self.valve * self.pressure.sqrt();
+        let scale = match parameter.unit {
+            "N" => self.force,
+            "N/m" => self.force / self.length,
+            "m3" => self.volume,
+            "m3/s" => flow,
+            "m3/(s Pa)" => flow / self.pressure,
+            "Pa s2/m6" => self.pressure / (flow * flow),
+            "Pa" => self.pressure,
+            _ => 1.0,
+        };
+        (scale * parameter.range.0, scale * parameter.range.1)
+    }
+}
+
+/// The nearest power of two; 1 for what is no size.
+fn octaves(ratio: f64) -> f64 {
+    if ratio.is_normal() && ratio > 0.0 { libm::exp2(libm::round(libm::log2(ratio))) } else { 1.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects;
+
+    #[test]
+    fn the_nominal_press_and_its_likes_have_the_catalogues_ranges() {
+        let mut spec = MachineSpec::default();
+        for factor in [1.0, 0.9, 1.2] {
+            spec.plant.valve_m3_per_s_sqrt_pa *= factor;
+            spec.plant.relief_pressure_pa *= factor;
+            for effect in effects::ALL {
+                for parameter in effect.parameters() {
+                    assert_eq!(Size::of(&spec).range_of(parameter), parameter.range);
+                }
+            }
+        }
+    }
+
+    /// A cylinder of 1 MN may have a friction of 80 kN, and its plant file says so without a complaint.
+    #[test]
+    fn a_large_cylinder_has_a_large_friction() {
+        let mut spec = MachineSpec::default();
+        spec.plant.cap_area_m2 *= 16.0;
+        let friction = effects::find("coulomb_friction").unwrap();
+        assert_eq!(Size::of(&spec).range_of(&friction.parameters()[0]), (0.0, 8e4));
+        let ranges = |spec: &MachineSpec| spec.clone().set_effect("coulomb_friction.force_n=40000");
+        assert!(ranges(&spec).is_ok() && ranges(&MachineSpec::default()).is_err());
+    }
+
+    #[test]
+    fn what_is_no_size_is_the_nominal_one() {
+        for ratio in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert_eq!(octaves(ratio), 1.0);
+        }
+        assert_eq!((octaves(1.4), octaves(1.5), octaves(0.3)), (1.0, 2.0, 0.25));
+    }
+}
