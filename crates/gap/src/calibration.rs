@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::diagnosis::split;
 use crate::fit::{Fit, Free, Problem, Target, free_parameters, of_effect};
+use crate::posterior::Posterior;
 use crate::record::Record;
 use crate::report::CalibratedValue;
 use crate::shrink::HeldOut;
@@ -25,6 +26,8 @@ pub struct Calibration<A> {
     pub recorded: BinnedSignals,
     /// The fitted machine in bins, alike.
     pub simulated: BinnedSignals,
+    /// How well the record tells the fitted parameters, all together.
+    pub posterior: Posterior,
 }
 
 /// What is fitted beside the plant's parameters.
@@ -36,6 +39,18 @@ pub struct CalibrationSettings {
     pub wear: bool,
     /// Keys of effects that the machine is given.
     pub effects: Vec<String>,
+    /// What is known beforehand by key, of an effect's parameter by `effect.parameter`. What is not here is known as [`SimulatedAxis`] says; an
+    /// effect's not at all.
+    pub known: BTreeMap<String, Known>,
+}
+
+/// What is known of a parameter before the record tells of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Known {
+    /// Value, SI.
+    pub value: f64,
+    /// Standard deviation: of the logarithm for a parameter that counts by it, SI for others.
+    pub sigma: f64,
 }
 
 /// Fits a machine's parameters, within their bounds and priors, to a record, and what the settings ask for beside them. Effects that there are
@@ -56,6 +71,11 @@ pub fn calibrate<A: SimulatedAxis>(
     let wanted =
         A::catalogue().into_iter().filter(|effect| settings.effects.iter().any(|key| key == effect.key));
     free.extend(wanted.flat_map(|effect| of_effect(effect, spec)));
+    for parameter in &mut free {
+        if let Some(known) = settings.known.get(&parameter.key()) {
+            parameter.know(known);
+        }
+    }
     let start = Fit::at(&problem, spec, free);
     let fit = start.fitted_from_afar(&problem, iterations).renewed(&problem);
     let parameters = fit
@@ -83,6 +103,7 @@ pub fn calibrate<A: SimulatedAxis>(
         floor: by_signal(&record.floor),
         recorded: record.mean(held_out.cycles),
         simulated,
+        posterior: Posterior::of(&fit),
         machine: fit.spec,
     }
 }

@@ -8,6 +8,7 @@ use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::{EffectInfo, Parameter};
 use seepd_sim::real::LANES;
 
+use crate::calibration::Known;
 use crate::record::{BINS, Record};
 use crate::screen::spans_decades;
 use crate::simulate::{BinnedSignals, binned_signals};
@@ -32,11 +33,11 @@ pub(crate) enum Target {
 pub(crate) struct Free {
     /// What it is.
     pub(crate) target: Target,
-    scale: Scale,
+    pub(crate) scale: Scale,
     low: f64,
     high: f64,
     /// Centre and standard deviation, in the coordinate.
-    prior: Option<(f64, f64)>,
+    pub(crate) prior: Option<(f64, f64)>,
 }
 
 /// What wear changes, and every plant parameter that may be calibrated.
@@ -87,6 +88,23 @@ impl Free {
             high: at(high),
             prior: parameter.sigma.map(|sigma| (centre, sigma)),
         }
+    }
+
+    /// Its key; an effect's is `effect.parameter`.
+    pub(crate) fn key(&self) -> String {
+        match self.target {
+            Target::Plant(parameter) => parameter.key.to_owned(),
+            Target::Effect(effect, index) => format!("{}.{}", effect.key, effect.parameters[index].name),
+        }
+    }
+
+    /// Takes what is known of it.
+    pub(crate) fn know(&mut self, known: &Known) {
+        let sigma = match self.scale {
+            Scale::Logarithmic => known.sigma,
+            Scale::Linear(unit) => known.sigma / unit,
+        };
+        self.prior = Some((coordinate(self.scale, known.value), sigma));
     }
 
     /// Whether it belongs to one of these effects.

@@ -5,6 +5,7 @@ pub mod diagnosis;
 mod electric;
 mod fit;
 mod places;
+pub mod posterior;
 mod press;
 mod rank;
 pub mod record;
@@ -15,8 +16,9 @@ mod shrink;
 mod simulate;
 pub mod simulated_axis;
 
-pub use calibration::{Calibration, CalibrationSettings, calibrate};
+pub use calibration::{Calibration, CalibrationSettings, Known, calibrate};
 pub use diagnosis::{DiagnosisSettings, cannot_tell, diagnose, nominal_gap};
+pub use posterior::Posterior;
 pub use record::{Log, Mismatch, Record, RecordError, Shortage};
 pub use report::Diagnosis;
 pub use simulate::BinnedSignals;

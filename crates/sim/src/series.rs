@@ -2,9 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use crate::effects::{Effect, ValveDeadband};
+use serde::{Deserialize, Serialize};
+
+use crate::effects::{self, Effect, ValveDeadband};
 use crate::noise::Noise;
 use crate::oil;
+use crate::size::Size;
 use crate::spec::MachineSpec;
 
 /// The parameters that differ from one machine of a series to the next. Areas and stroke are machined, density
@@ -34,16 +37,30 @@ pub struct Tolerances {
     pub share: f64,
     /// The share of single parameters, by key.
     pub of: BTreeMap<String, f64>,
+    /// What is off together beside that.
+    pub together: Vec<Direction>,
+}
+
+/// Changes of parameters that go together, one standard deviation long: a fit that cannot tell a larger valve from a higher pressure leaves
+/// their product known.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Direction {
+    /// Changes of the logarithms of plant parameters, by key.
+    pub plant: BTreeMap<String, f64>,
+    /// Changes of effects' parameters, SI, by effect and parameter; an effect that a machine lacks stays away.
+    pub effects: BTreeMap<String, BTreeMap<String, f64>>,
 }
 
 impl Tolerances {
     /// The same share for all.
     pub fn even(share: f64) -> Self {
-        Tolerances { share, of: BTreeMap::new() }
+        Tolerances { share, of: BTreeMap::new(), together: Vec::new() }
     }
 }
 
-/// Another machine of the series: every parameter that differs is drawn uniformly within its tolerance.
+/// Another machine of the series: every parameter that differs is drawn uniformly within its tolerance, and the machine is moved along each
+/// direction by a uniform number of standard deviation 1.
 pub fn vary(spec: &MachineSpec, tolerances: &Tolerances, noise: &mut Noise) -> MachineSpec {
     let mut varied = spec.clone();
     for name in VARIED {
@@ -51,7 +68,36 @@ pub fn vary(spec: &MachineSpec, tolerances: &Tolerances, noise: &mut Noise) -> M
             *value *= noise.factor(tolerances.of.get(name).copied().unwrap_or(tolerances.share));
         }
     }
+    for direction in &tolerances.together {
+        move_along(&mut varied, direction, noise.uniform(-UNIFORM, UNIFORM));
+    }
     varied
+}
+
+/// A uniform distribution of this half width has the standard deviation of 1.
+const UNIFORM: f64 = 1.732_050_8;
+
+fn move_along(spec: &mut MachineSpec, direction: &Direction, by: f64) {
+    let size = Size::of(spec);
+    for (key, change) in &direction.plant {
+        if let Some(value) = spec.plant.get_mut(key) {
+            *value *= libm::exp(by * change);
+        }
+    }
+    for effect in effects::ALL {
+        let (Some(values), Some(changes)) =
+            (spec.effects.get_mut(effect.key()), direction.effects.get(effect.key()))
+        else {
+            continue;
+        };
+        for parameter in effect.parameters() {
+            if let (Some(value), Some(change)) = (values.get_mut(parameter.name), changes.get(parameter.name))
+            {
+                let (low, high) = size.range_of(parameter);
+                *value = (*value + by * change).clamp(low, high);
+            }
+        }
+    }
 }
 
 /// The machine with so much more overlap of its valve's lands, share of full command: the effect `valve_deadband`, up to its largest value.
@@ -89,6 +135,41 @@ mod tests {
     use super::*;
     use crate::cycle::Schedule;
     use crate::machine::{Input, Machine};
+
+    /// What goes together keeps its product: a valve that is larger by what the pressure's root is smaller. An effect stays in its range,
+    /// and one that the machine lacks stays away.
+    #[test]
+    fn directions_keep_what_a_fit_knows() {
+        let mut spec = MachineSpec::default();
+        spec.set_effect("coulomb_friction.force_n=100").unwrap();
+        let one = |key: &str, by: f64| BTreeMap::from([(key.to_owned(), by)]);
+        let direction = Direction {
+            plant: BTreeMap::from([
+                ("valve_m3_per_s_sqrt_pa".to_owned(), 0.1),
+                ("relief_pressure_pa".to_owned(), -0.2),
+            ]),
+            effects: BTreeMap::from([
+                ("coulomb_friction".to_owned(), one("force_n", 400.0)),
+                ("valve_bias".to_owned(), one("offset", 0.1)),
+            ]),
+        };
+        let tolerances = Tolerances { together: vec![direction], ..Tolerances::even(0.0) };
+        let mut noise = Noise::new(1, 1);
+        let product =
+            |spec: &MachineSpec| spec.plant.valve_m3_per_s_sqrt_pa * spec.plant.relief_pressure_pa.sqrt();
+        let machines: Vec<MachineSpec> = (0..2000).map(|_| vary(&spec, &tolerances, &mut noise)).collect();
+        let mut logarithms = Vec::new();
+        for machine in &machines {
+            assert!((product(machine) / product(&spec) - 1.0).abs() < 1e-12);
+            assert!(machine.effects["coulomb_friction"]["force_n"] >= 0.0);
+            assert!(!machine.effects.contains_key("valve_bias"));
+            logarithms.push((machine.plant.valve_m3_per_s_sqrt_pa / spec.plant.valve_m3_per_s_sqrt_pa).ln());
+        }
+        let variance = logarithms.iter().map(|value| value * value).sum::<f64>() / 2000.0;
+        // The standard error of a uniform distribution's variance: 0.9 / √2000 = 2 %.
+        assert!((variance / 0.01 - 1.0).abs() < 0.08, "{variance}");
+        assert!(machines.iter().any(|machine| machine.effects["coulomb_friction"]["force_n"] > 600.0));
+    }
 
     #[test]
     fn warm_oil_is_the_effect_of_less_viscosity() {

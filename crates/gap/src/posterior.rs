@@ -1,0 +1,72 @@
+//! What a fit leaves open: how far its parameters may lie off, together.
+//!
+//! One force, one valve, one supply pressure may be wrong while their product is right. Taken one by one, their intervals say nothing of that;
+//! the covariance of all does (Bates, Watts, Nonlinear Regression Analysis, 1988, chapter 2).
+
+use nalgebra::{Cholesky, DMatrix};
+use seepd_sim::series::Direction;
+
+use crate::fit::{Fit, Free, Target};
+use crate::simulated_axis::{Scale, SimulatedAxis};
+
+/// The distribution of fitted parameters near where they were fitted.
+#[derive(Debug, Clone)]
+pub struct Posterior {
+    free: Vec<Free>,
+    /// Value of each.
+    values: Vec<f64>,
+    /// What the differences say, in the fit's coordinates.
+    information: DMatrix<f64>,
+}
+
+impl Posterior {
+    pub(crate) fn of<A: SimulatedAxis>(fit: &Fit<A>) -> Self {
+        Posterior {
+            values: fit.estimates().into_iter().map(|(value, _)| value).collect(),
+            information: fit.jacobian.tr_mul(&fit.jacobian),
+            free: fit.free.clone(),
+        }
+    }
+
+    /// As many independent directions as there are parameters, each drawn with a standard deviation of 1. The differences are taken to be
+    /// `times` as large as the fit expected, and no parameter that counts by its logarithm is less known beforehand than `least_known`, a
+    /// standard deviation. None where the record and what is known beforehand leave a parameter without any bound.
+    pub fn directions(&self, times: f64, least_known: f64) -> Vec<Direction> {
+        let mut precision = self.information.scale(times.powi(2).recip());
+        for (index, parameter) in self.free.iter().enumerate() {
+            let sigma = match (parameter.prior, parameter.scale) {
+                (Some((_, sigma)), Scale::Logarithmic) => Some(sigma.min(least_known)),
+                (Some((_, sigma)), Scale::Linear(_)) => Some(sigma),
+                (None, Scale::Logarithmic) => Some(least_known),
+                (None, Scale::Linear(_)) => None,
+            };
+            precision[(index, index)] += sigma.map_or(0.0, |sigma| (sigma * sigma).recip());
+        }
+        let Some(root) = precision.try_inverse().and_then(Cholesky::new) else { return Vec::new() };
+        root.l().column_iter().map(|column| self.direction(column.as_slice())).collect()
+    }
+
+    fn direction(&self, changes: &[f64]) -> Direction {
+        let mut direction = Direction::default();
+        for ((parameter, value), change) in self.free.iter().zip(&self.values).zip(changes) {
+            match (parameter.target, parameter.scale) {
+                (Target::Plant(plant), Scale::Logarithmic) => {
+                    direction.plant.insert(plant.key.to_owned(), *change);
+                }
+                (Target::Plant(plant), Scale::Linear(unit)) if *value > 0.0 => {
+                    direction.plant.insert(plant.key.to_owned(), change * unit / value);
+                }
+                (Target::Plant(_), Scale::Linear(_)) => {}
+                (Target::Effect(effect, index), scale) => {
+                    let change = match scale {
+                        Scale::Linear(unit) => change * unit,
+                        Scale::Logarithmic => change * value,
+                    };
+                    let of_effect = direction.effects.entry(effect.key.to_owned()).or_default();
+                    of_effect.insert(effect.parameters[index].name.to_owned(), change);
+                }
+            }
+        }
+        direction
+    }
+}
