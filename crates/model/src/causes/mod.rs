@@ -5,6 +5,7 @@
 //! training has simulated it. A change is explained by no cell, by one, or by one of the seal and one of another cause, whose patterns
 //! then add; Bayes' rule weighs these hypotheses. [`CausesFile`] has the numbers.
 
+mod alike;
 mod fit;
 mod verdict;
 
@@ -144,6 +145,8 @@ struct Cell {
     /// Index of its kind.
     kind: usize,
     is_seal: bool,
+    /// Whether it is a cause that this machine's command does not tell from a leak.
+    is_alike: bool,
     size: f64,
     rest: f64,
     error: f64,
@@ -197,6 +200,7 @@ impl Causes {
             cells.push(Cell {
                 kind,
                 is_seal: cell.kind.cause == Cause::PistonSeal,
+                is_alike: false,
                 size: cell.size,
                 rest: cell.size_rest,
                 error: cell.error,
@@ -208,7 +212,8 @@ impl Causes {
             numbers.extend(all.map(|value| f64::from(*value)));
         }
         let priors = priors(&kinds, &cells);
-        let causes = Causes { file, kinds, priors, cells, numbers };
+        let mut causes = Causes { file, kinds, priors, cells, numbers };
+        causes.mark_what_is_alike();
         for (index, golden) in causes.file.golden.iter().enumerate() {
             causes.check_golden(golden, &format!("causes.golden[{index}]"))?;
         }

@@ -137,6 +137,9 @@ impl Causes {
 impl Causes {
     /// Whether a cell's response adds to that of a leak. Under a dead band a leak answers in another way, and a valve of another shape would pass for both.
     fn adds_to_a_leak(&self, cell: &Cell) -> bool {
+        if cell.is_alike {
+            return false;
+        }
         let cause = self.kinds.get(cell.kind).map(|kind| kind.cause);
         !matches!(cause, None | Some(Cause::PistonSeal | Cause::ValveDeadBand))
     }
@@ -162,6 +165,7 @@ impl<'c> Weighed<'c> {
             weighed.note(&mut best, weight, &fit);
         }
         weighed.weigh_pairs(&mut best);
+        best = best.max(causes.share_by_priors(&mut weighed.alone));
         weighed.normalise(best);
         weighed
     }
