@@ -112,6 +112,7 @@ pub(crate) fn presses(spec: &MachineSpec, areas_m2: &[f64], stream: u64) -> Vec<
             load_factor: 1.0,
             stretch: 1.0,
             leak_area_m2: *area,
+            laminar_share: 0.0,
             stream,
         })
         .collect()

@@ -11,7 +11,7 @@ use seepd_sim::noise::Noise;
 use seepd_sim::series::{self, Tolerances};
 
 use crate::leak_range::LeakRange;
-use crate::unknown_contact;
+use crate::{unknown_contact, unknown_seal};
 
 /// How simulated machines differ from the plan.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,11 +24,33 @@ pub struct Spread {
     pub period: f64,
     /// Whether half of the machines meet a contact that nobody knows of.
     pub unknown_contact: bool,
+    /// Whether seals of half of the machines leak more like a gap than like an orifice.
+    pub unknown_seal: bool,
 }
 
 impl Default for Spread {
     fn default() -> Self {
-        Spread { parameters: Tolerances::even(0.05), load: 0.05, period: 0.03, unknown_contact: false }
+        Spread {
+            parameters: Tolerances::even(0.05),
+            load: 0.05,
+            period: 0.03,
+            unknown_contact: false,
+            unknown_seal: false,
+        }
+    }
+}
+
+impl Spread {
+    /// A machine of the series, without a leak.
+    pub(crate) fn machine(&self, spec: &MachineSpec, stream: u64, noise: &mut Noise) -> Observation {
+        let mut spec = series::vary(spec, &self.parameters, noise);
+        if self.unknown_contact {
+            unknown_contact::put_on(&mut spec, noise);
+        }
+        let load_factor = noise.factor(self.load);
+        let stretch = noise.factor(self.period);
+        let laminar_share = if self.unknown_seal { unknown_seal::laminar_share(noise) } else { 0.0 };
+        Observation { spec, load_factor, stretch, leak_area_m2: 0.0, laminar_share, stream }
     }
 }
 
@@ -43,6 +65,8 @@ pub struct Observation {
     pub stretch: f64,
     /// Truth, m².
     pub leak_area_m2: f64,
+    /// Share of the leak that is laminar, at the pressure difference at which leaks are given.
+    pub laminar_share: f64,
     /// Number of the random stream for its noise.
     pub stream: u64,
 }
@@ -66,20 +90,9 @@ pub fn draw(
         .map(|index| {
             let stream = purpose.wrapping_mul(1 << 32) + index as u64;
             let mut noise = Noise::new(seed, stream);
-            let mut varied = series::vary(spec, &spread.parameters, &mut noise);
-            if spread.unknown_contact {
-                unknown_contact::put_on(&mut varied, &mut noise);
-            }
-            let load_factor = noise.factor(spread.load);
-            let stretch = noise.factor(spread.period);
+            let healthy = spread.machine(spec, stream, &mut noise);
             let rank = (index as f64 + noise.uniform(0.0, 1.0)) / count as f64;
-            Observation {
-                spec: varied,
-                load_factor,
-                stretch,
-                leak_area_m2: leaks.at_m2(rank, SHARE_HEALTHY, SHARE_SMALL),
-                stream,
-            }
+            Observation { leak_area_m2: leaks.at_m2(rank, SHARE_HEALTHY, SHARE_SMALL), ..healthy }
         })
         .collect()
 }
@@ -111,20 +124,23 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
     let jobs: Vec<Job> = observations
         .iter()
         .map(|observation| {
+            let mut spec = observation.spec.clone();
+            let leak_area_m2 =
+                unknown_seal::with_gap(&mut spec.plant, observation.leak_area_m2, observation.laminar_share);
             let planned_ticks = observation.spec.cycle.period_s / observation.spec.controller.period_s;
             let period_ticks = (planned_ticks * observation.stretch).round() as u64;
             let lead = (lead(observation) * observation.spec.controller.log_every) as u64;
             let run = CycleRun {
                 load_factor: observation.load_factor,
                 stretch: observation.stretch,
-                ..CycleRun::with_leak(observation.leak_area_m2)
+                ..CycleRun::with_leak(leak_area_m2)
             };
             let warm_up_s = observation.stretch * warm_up_from_s(&observation.spec);
             let start_tick = (warm_up_s / observation.spec.controller.period_s) as u64;
             // Of a cycle of few ticks the lead may be most.
             let start_tick = start_tick.min(period_ticks.saturating_sub(lead));
             Job {
-                spec: observation.spec.clone(),
+                spec,
                 runs: vec![run],
                 start_tick,
                 skip_ticks: period_ticks.saturating_sub(start_tick + lead),
@@ -208,7 +224,7 @@ mod tests {
             for assignment in assignments {
                 spec.set_effect(assignment).unwrap();
             }
-            Observation { spec, load_factor: 1.0, stretch: 1.0, leak_area_m2, stream: 0 }
+            Observation { spec, load_factor: 1.0, stretch: 1.0, leak_area_m2, laminar_share: 0.0, stream: 0 }
         };
         let deadband = ["valve_deadband.half_width=0.01"];
         let accumulator = ["accumulator.volume_m3=0.002", "accumulator.precharge_pa=1e7"];
@@ -257,7 +273,14 @@ mod tests {
                     (0.3 * index as f64 * period_s, (0.3 * index as f64 + 0.2) * period_s);
             }
             spec.cycle.load.clear();
-            let one = Observation { spec, load_factor: 1.0, stretch: 1.0, leak_area_m2: 0.0, stream: 49 };
+            let one = Observation {
+                spec,
+                load_factor: 1.0,
+                stretch: 1.0,
+                leak_area_m2: 0.0,
+                laminar_share: 0.0,
+                stream: 49,
+            };
             let ticks = simulate(&[one], |_, commands| commands.len())[0] as f64;
             assert!(ticks > 1e3 * period_s && ticks < 3e3 * period_s + 100.0, "{period_s}: {ticks}");
         }

@@ -14,6 +14,7 @@ pub mod report;
 mod search;
 pub mod train;
 mod unknown_contact;
+mod unknown_seal;
 
 pub use dataset::Spread;
 pub use relative::{Conditions, RelativeReport};

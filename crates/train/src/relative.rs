@@ -27,7 +27,7 @@ use crate::linear;
 use crate::out_of_distribution;
 use crate::report::NOISE_LEVELS;
 use crate::train::TrainingSettings;
-use crate::unknown_contact;
+use crate::{unknown_contact, unknown_seal};
 
 /// Cycles that a baseline is the mean of.
 pub const BASELINE_CYCLES: usize = 50;
@@ -56,6 +56,8 @@ pub struct Conditions {
     pub deadband: (f64, f64),
     /// Whether half of the machines meet a contact that nobody knows of.
     pub unknown_contact: bool,
+    /// Whether seals of half of the machines leak more like a gap than like an orifice.
+    pub unknown_seal: bool,
 }
 
 impl Default for Conditions {
@@ -69,6 +71,7 @@ impl Default for Conditions {
             supply: 0.01,
             deadband: (1.0 / 3.0, 0.02),
             unknown_contact: false,
+            unknown_seal: false,
         }
     }
 }
@@ -81,6 +84,7 @@ impl Conditions {
             load_factor: noise.factor(self.machine_load),
             stretch: noise.factor(self.period),
             leak_area_m2: 0.0,
+            laminar_share: 0.0,
             stream: 0,
         };
         let (share, widest) = self.deadband;
@@ -89,6 +93,9 @@ impl Conditions {
         }
         if self.unknown_contact {
             unknown_contact::put_on(&mut observation.spec, noise);
+        }
+        if self.unknown_seal {
+            observation.laminar_share = unknown_seal::laminar_share(noise);
         }
         observation
     }

@@ -12,13 +12,11 @@ use seepd_model::causes::{Cause, Causes, Change};
 use seepd_model::schema::{CausesFile, CausesGolden, CellFile};
 use seepd_sim::MachineSpec;
 use seepd_sim::noise::Noise;
-use seepd_sim::series;
 
 use crate::conformal::significant;
 use crate::dataset::{self, Observation, Reading};
 use crate::relative::{Conditions, simulate_stably};
 use crate::train::TrainingSettings;
-use crate::unknown_contact;
 
 use basis::Basis;
 use curves::Curve;
@@ -65,23 +63,12 @@ struct Response {
 }
 
 impl CauseSimulator<'_> {
-    /// A machine of the series.
-    fn of_series(&self, stream: u64, noise: &mut Noise) -> Observation {
-        let spread = &self.settings.spread;
-        let mut spec = series::vary(self.spec, &spread.parameters, noise);
-        if spread.unknown_contact {
-            unknown_contact::put_on(&mut spec, noise);
-        }
-        let (load_factor, stretch) = (noise.factor(spread.load), noise.factor(spread.period));
-        Observation { spec, load_factor, stretch, leak_area_m2: 0.0, stream }
-    }
-
     /// A machine of the series on a day of its own.
     fn machine(&self, purpose: u64, index: usize) -> Observation {
         let stream = (purpose << 32) + index as u64;
         let mut noise = Noise::new(self.settings.seed, stream);
         let conditions = &self.settings.conditions;
-        let machine = self.of_series(stream, &mut noise);
+        let machine = self.settings.spread.machine(self.spec, stream, &mut noise);
         let oil_c = noise.uniform(conditions.oil_c.0, conditions.oil_c.1);
         Conditions::on_a_day(&machine, 1.0, oil_c, noise.factor(conditions.supply))
     }
@@ -304,7 +291,7 @@ fn golden(file: &CausesFile, held_out: &[(usize, Vec<Response>)]) -> Option<Vec<
 fn ordinary_days(simulator: &CauseSimulator<'_>, machine: usize, days: usize) -> Vec<Observation> {
     let stream = (purpose::ORDINARY << 32) + machine as u64;
     let mut noise = Noise::new(simulator.settings.seed, stream);
-    let series = simulator.of_series(stream, &mut noise);
+    let series = simulator.settings.spread.machine(simulator.spec, stream, &mut noise);
     let (coldest_c, warmest_c) = simulator.settings.conditions.oil_c;
     (0..days)
         .map(|_| {
