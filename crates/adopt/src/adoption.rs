@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use seepd_gap::{Calibration, CalibrationSettings, Log, Record, RecordError, calibrate};
+use seepd_gap::{Calibration, CalibrationSettings, Known, Log, Record, RecordError, calibrate};
 use seepd_signals::Signal;
+use seepd_sim::series::Direction;
 use seepd_sim::{MachineSpec, SpecError};
 
 use crate::controller::{FittedGains, fit_gains};
@@ -29,6 +30,8 @@ const NOT_TOLD: f64 = 0.85;
 const LEAST_TOLERANCE: f64 = 0.01;
 /// Largest tolerance that training draws, share to either side.
 const LARGEST_TOLERANCE: f64 = 0.30;
+/// Most by which intervals are widened where the simulation stays off the log.
+const MOST_WIDENED: f64 = 5.0;
 /// Room for a position that does not fit the stroke, share of the stroke.
 const POSITION_ROOM: f64 = 0.02;
 /// A rest of the command, over its range, from which the demand that was found is remarked on.
@@ -37,6 +40,15 @@ const POOR: f64 = 0.03;
 const LEAST_FRICTION: f64 = 0.01;
 /// A uniform distribution of this half width has the standard deviation of 1.
 const UNIFORM: f64 = 1.732_050_8;
+/// What is known of every cylinder and valve, standard deviations: friction of seals and guides, share of the piston's largest force (Jelali,
+/// Kroll, Hydraulic Servo-systems, 2003, chapter 4), and the null of a valve as adjusted, share of full command.
+const USUAL_FRICTION: f64 = 0.02;
+const USUAL_NULL: f64 = 0.02;
+/// The spool's lag: effect and parameter; its frequency where nothing else is known, the fastest that the effect has, Hz; and its damping with a
+/// standard deviation.
+const LAG: (&str, &str) = ("valve_lag", "natural_frequency_hz");
+const USUAL_LAG_HZ: f64 = 60.0;
+const USUAL_DAMPING: (f64, f64) = (0.7, 0.1);
 
 /// A machine as adopted: everything that training needs.
 #[derive(Debug, Clone)]
@@ -53,6 +65,8 @@ pub struct Adoption {
     pub demand_rest: Option<f64>,
     /// What calibration showed; `None` where the log has no position.
     pub calibration: Option<Calibration<MachineSpec>>,
+    /// What the log leaves open of the parameters together, beside their tolerances; empty where nothing was fitted.
+    pub together: Vec<Direction>,
     /// Added to the log's positions so that they lie within the stroke, m.
     pub position_offset_m: f64,
     /// Standard deviation of the command's noise.
@@ -192,33 +206,19 @@ impl Adopter<'_> {
         spec.cycle = planned(self.found, &asked.demand_m, &command, load, tick_s);
         let stroke_m = spec.plant.stroke_m;
         spec.cycle.moves.iter_mut().for_each(|stroke| stroke.to_m = stroke.to_m.clamp(0.0, stroke_m));
-        let mut spec = spec.with_stable_steps();
+        let spec = spec.with_stable_steps();
         spec.check()?;
-        let mut values = self.described.values.clone();
-        let mut calibration = None;
-        if position.is_some() {
-            (spec, calibration) = self.fitted(spec, offset_m, &mut values)?;
-            if let Some(found) = self.unknown_force(&spec, &command) {
-                let mut loaded = spec.clone();
-                loaded.cycle.load = found.load;
-                let mut refitted = values.clone();
-                let (loaded, again) = self.fitted(loaded, offset_m, &mut refitted)?;
-                // Forces that bring the whole cycle no nearer were none.
-                if command_gap(again.as_ref()) < command_gap(calibration.as_ref()) {
-                    (spec, values, calibration) = (loaded, refitted, again);
-                    self.remarks.push(format!(
-                        "the log has no load; {:.0} % of what the strokes' command had left is explained by {}",
-                        100.0 * (1.0 - found.left),
-                        found.words
-                    ));
-                }
-            }
-        }
-        let rest = command_gap(calibration.as_ref()).or(asked.rest).unwrap_or(0.0);
+        let (spec, values, calibration, together) = if position.is_some() {
+            let fitted = self.fitted_to_the_log(&spec, offset_m, &command)?;
+            (fitted.spec, fitted.values, Some(fitted.calibration), fitted.together)
+        } else {
+            (spec, self.described.values.clone(), None, Vec::new())
+        };
+        let rest = calibration.as_ref().map(command_gap).or(asked.rest).unwrap_or(0.0);
         if rest.is_nan() || rest > UNLIKE {
             return Err(AdoptionError::Unlike { percent: 100.0 * rest });
         }
-        spec.bounds.clear();
+        let spec = MachineSpec { bounds: BTreeMap::new(), ..spec };
         Ok(Adoption {
             noise: self.recording.log.get(Signal::Command).map_or(0.0, noise_of),
             load_spread: self.load_spread(),
@@ -231,6 +231,7 @@ impl Adopter<'_> {
             demand: origin,
             demand_rest: asked.rest,
             calibration,
+            together,
             position_offset_m: offset_m,
             remarks: self.remarks,
         })
@@ -301,19 +302,52 @@ impl Adopter<'_> {
         }
     }
 
-    /// The machine as calibration leaves it, with the values that it found.
-    fn fitted(
+    /// The machine as its calibration leaves it, with what its strokes work against where the log has no load.
+    fn fitted_to_the_log(
         &mut self,
-        spec: MachineSpec,
+        spec: &MachineSpec,
         offset_m: f64,
-        values: &mut BTreeMap<&'static str, PlantValue>,
-    ) -> Result<(MachineSpec, Option<Calibration<MachineSpec>>), AdoptionError> {
-        let calibration = self.calibrated(&spec, offset_m)?;
-        if !self.is_better(&calibration) {
-            return Ok((spec, Some(calibration)));
+        command: &[f64],
+    ) -> Result<Fitted, AdoptionError> {
+        let mut fitted = self.fitted(spec, offset_m)?;
+        if let Some(found) = self.unknown_force(&fitted.spec, command) {
+            let mut loaded = fitted.spec.clone();
+            loaded.cycle.load = found.load;
+            let again = self.fitted(&loaded, offset_m)?;
+            // Forces that bring the whole cycle no nearer were none.
+            if command_gap(&again.calibration) < command_gap(&fitted.calibration) {
+                fitted = again;
+                self.remarks.push(format!(
+                    "the log has no load; {:.0} % of what the strokes' command had left is explained by {}",
+                    100.0 * (1.0 - found.left),
+                    found.words
+                ));
+            }
         }
-        *values = self.described.values.clone();
-        Ok((learned(&calibration, values), Some(calibration)))
+        if !fitted.is_nearer {
+            self.remarks.push(
+                "the calibration did not bring the simulated command nearer to the log's, and is not used: check the machine data and the \
+                 signals; `seepd gap` with the plant file may name what differs"
+                    .into(),
+            );
+        }
+        Ok(fitted)
+    }
+
+    /// The machine with what its calibration found, where that brings the command nearer to the log's.
+    fn fitted(&self, spec: &MachineSpec, offset_m: f64) -> Result<Fitted, AdoptionError> {
+        let calibration = self.calibrated(spec, offset_m)?;
+        let mut values = self.described.values.clone();
+        let [before, after] = calibration.gaps.each_ref().map(command_gap_of);
+        let is_nearer = after <= before;
+        let (spec, together) = if is_nearer {
+            let together =
+                calibration.posterior.directions(widened(&calibration), LARGEST_TOLERANCE / UNIFORM);
+            (learned(&calibration, &mut values), together)
+        } else {
+            (spec.clone(), Vec::new())
+        };
+        Ok(Fitted { spec, values, calibration, together, is_nearer })
     }
 
     /// What the strokes work against, where the log has no load.
@@ -341,12 +375,35 @@ impl Adopter<'_> {
         }
         let record = Record::new(&self.laid_on_plan(&spec, offset_m), &spec)?;
         // A leak and a shifted null look alike in a command. The log is of a healthy machine; what stands in its holds is the valve's.
-        let mut effects = vec!["valve_bias".to_owned(), "coulomb_friction".to_owned()];
+        let mut effects = ["valve_bias", "coulomb_friction", LAG.0].map(str::to_owned).to_vec();
+        // No spool follows at once: without its lag a fit gives the valve another size and the supply another pressure.
+        let lag = spec.effects.entry(LAG.0.into()).or_default();
+        lag.entry(LAG.1.into()).or_insert(USUAL_LAG_HZ);
         if spec.effects.contains_key("valve_deadband") || !self.described.knows_overlap {
             effects.push("valve_deadband".to_owned());
         }
-        let settings = CalibrationSettings { iterations: ITERATIONS, wear: false, effects };
+        let known = self.known_beforehand(&spec);
+        let settings = CalibrationSettings { iterations: ITERATIONS, wear: false, effects, known };
         Ok(calibrate(&record, &spec, &settings))
+    }
+
+    /// Standard deviations of what the data sheet and every machine's parts tell before the log does.
+    fn known_beforehand(&self, spec: &MachineSpec) -> BTreeMap<String, Known> {
+        let of_data_sheet = self.described.values.iter().filter(|(_, value)| value.origin == Origin::User);
+        let of_data_sheet = of_data_sheet.map(|(key, value)| {
+            let share = value.tolerance.max(LEAST_TOLERANCE) / UNIFORM;
+            // The return pressure is calibrated by addition.
+            let sigma = if *key == "return_pressure_pa" { share * value.value } else { share };
+            ((*key).to_owned(), Known { value: value.value, sigma })
+        });
+        let largest_n = spec.plant.cap_area_m2 * spec.plant.relief_pressure_pa;
+        let of_parts = [
+            ("coulomb_friction.force_n".to_owned(), 0.0, USUAL_FRICTION * largest_n),
+            ("valve_bias.offset".to_owned(), 0.0, USUAL_NULL),
+            (format!("{}.{}", LAG.0, LAG.1), USUAL_LAG_HZ, USUAL_LAG_HZ),
+            (format!("{}.damping", LAG.0), USUAL_DAMPING.0, USUAL_DAMPING.1),
+        ];
+        of_data_sheet.chain(of_parts.map(|(key, value, sigma)| (key, Known { value, sigma }))).collect()
     }
 
     /// The recorded cycles one after the other, each stroke in its planned place, under the plan's demand and load.
@@ -378,23 +435,6 @@ impl Adopter<'_> {
         log
     }
 
-    /// Whether the fit brought the command nearer to the log's; where not, the data sheet stands.
-    fn is_better(&mut self, calibration: &Calibration<MachineSpec>) -> bool {
-        let [before, after] = &calibration.gaps;
-        let of = |gaps: &BTreeMap<&'static str, f64>| {
-            gaps.get(Signal::Command.name()).copied().unwrap_or(f64::NAN)
-        };
-        let is_better = of(after) <= of(before);
-        if !is_better {
-            self.remarks.push(
-                "the calibration did not bring the simulated command nearer to the log's, and is not used: check the machine data and the \
-                 signals; `seepd gap` with the plant file may name what differs"
-                    .into(),
-            );
-        }
-        is_better
-    }
-
     fn load_spread(&self) -> Option<f64> {
         let values = self.recording.log.get(Signal::Load)?;
         let largest = range(values);
@@ -421,9 +461,32 @@ fn room_of(value: &PlantValue) -> f64 {
     }
 }
 
+/// A machine with what its calibration found.
+struct Fitted {
+    spec: MachineSpec,
+    values: BTreeMap<&'static str, PlantValue>,
+    calibration: Calibration<MachineSpec>,
+    together: Vec<Direction>,
+    /// Whether the calibrated simulation is nearer to the log than the data sheet's; where not, the data sheet stands.
+    is_nearer: bool,
+}
+
 /// How far the calibrated simulation's command is from the log's on held-out cycles, over its range.
-fn command_gap(calibration: Option<&Calibration<MachineSpec>>) -> Option<f64> {
-    Some(calibration?.gaps[1].get(Signal::Command.name()).copied().unwrap_or(f64::NAN))
+fn command_gap(calibration: &Calibration<MachineSpec>) -> f64 {
+    command_gap_of(&calibration.gaps[1])
+}
+
+fn command_gap_of(gaps: &BTreeMap<&'static str, f64>) -> f64 {
+    gaps.get(Signal::Command.name()).copied().unwrap_or(f64::NAN)
+}
+
+/// How much wider than its own intervals a fit's are: where the simulation stays further from the log than the log from itself, they are too
+/// narrow.
+fn widened(calibration: &Calibration<MachineSpec>) -> f64 {
+    let misfit = |(signal, gap): (&&'static str, &f64)| {
+        gap / calibration.floor.get(*signal).copied().unwrap_or(*gap).max(1e-9)
+    };
+    calibration.gaps[1].iter().map(misfit).fold(1.0, f64::max).clamp(1.0, MOST_WIDENED)
 }
 
 /// Takes the fitted parameters and how well the log tells them; gives the machine without its leak.
@@ -438,11 +501,7 @@ fn learned(
     if friction_n.is_some_and(|force_n| *force_n < LEAST_FRICTION * largest_n) {
         spec.effects.remove("coulomb_friction");
     }
-    // Where the simulation stays further from the log than the log from itself, its intervals are too narrow.
-    let misfit = |(signal, gap): (&&'static str, &f64)| {
-        gap / calibration.floor.get(*signal).copied().unwrap_or(*gap).max(1e-9)
-    };
-    let widened = calibration.gaps[1].iter().map(misfit).fold(1.0, f64::max).clamp(1.0, 5.0);
+    let widened = widened(calibration);
     for (key, fitted) in &calibration.parameters {
         let Some(value) = values.get_mut(key) else { continue };
         let half = 0.5 * (fitted.interval95[1] - fitted.interval95[0]) / 1.96;
@@ -466,11 +525,12 @@ fn learned(
 }
 
 impl Adoption {
-    /// How far training is to vary each parameter: what is not known of it.
+    /// How far training is to vary each parameter by itself: what is not known of it, or the least where [`Adoption::together`] has the rest.
     pub fn tolerances(&self) -> BTreeMap<String, f64> {
-        self.values
-            .iter()
-            .map(|(key, value)| ((*key).to_owned(), value.tolerance.min(LARGEST_TOLERANCE)))
-            .collect()
+        let is_together = |key: &str| self.together.iter().any(|direction| direction.plant.contains_key(key));
+        let tolerance = |key: &str, value: &PlantValue| {
+            if is_together(key) { LEAST_TOLERANCE } else { value.tolerance.min(LARGEST_TOLERANCE) }
+        };
+        self.values.iter().map(|(key, value)| ((*key).to_owned(), tolerance(key, value))).collect()
     }
 }

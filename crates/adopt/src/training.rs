@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use seepd_features::Kalman;
 use seepd_sim::MachineSpec;
-use seepd_sim::series::Tolerances;
+use seepd_sim::noise::Noise;
+use seepd_sim::series::{self, Direction, Tolerances};
 use seepd_train::{Conditions, Spread, TrainingSettings};
 use serde::{Deserialize, Serialize};
 
@@ -26,6 +27,8 @@ const NOISE_ROOM: f64 = 3.0;
 /// Least variation of the period and of the load that training draws, shares.
 const LEAST_PERIOD: f64 = 0.01;
 const LOAD: f64 = 0.05;
+/// Machines that are drawn to see how many steps they need.
+const TRIED_FOR_STEPS: usize = 200;
 /// Largest variation of the period: the anchors' tolerance.
 const MOST_PERIOD: f64 = 0.03;
 
@@ -34,6 +37,9 @@ const MOST_PERIOD: f64 = 0.03;
 pub struct TrainingBasis {
     /// How far each plant parameter may be off to either side, share.
     pub tolerances: BTreeMap<String, f64>,
+    /// How parameters may be off together beside that.
+    #[serde(default)]
+    pub together: Vec<Direction>,
     /// Standard deviation of the command's noise, share of full command.
     pub noise: f64,
     /// Standard deviation of the load from cycle to cycle, share of its range, where the log has a load.
@@ -50,11 +56,27 @@ impl TrainingBasis {
     pub fn of(adoption: &Adoption, found: &FoundCycle) -> Self {
         TrainingBasis {
             tolerances: adoption.tolerances(),
+            together: adoption.together.clone(),
             noise: adoption.noise,
             load_spread: adoption.load_spread,
             unknown_contact: adoption.unknown_contact,
             period_spread: 0.5 * found.period.spread_s() / found.period_s,
         }
+    }
+
+    fn spread(&self) -> Tolerances {
+        Tolerances { share: 0.05, of: self.tolerances.clone(), together: self.together.clone() }
+    }
+
+    /// The machine with as many steps as any needs that is drawn from it.
+    pub fn with_steps_for_all(&self, spec: &MachineSpec) -> MachineSpec {
+        let (spread, mut noise) = (self.spread(), Noise::new(0, 0));
+        let mut steady = spec.with_stable_steps();
+        for _ in 0..TRIED_FOR_STEPS {
+            let needed = series::vary(spec, &spread, &mut noise).stable_steps();
+            steady.controller.steps_per_period = steady.controller.steps_per_period.max(needed);
+        }
+        steady
     }
 
     /// The settings with which a model for the machine is trained, with that share of the machines that there is time for.
@@ -64,7 +86,7 @@ impl TrainingBasis {
         let steps = spec.cycle.period_s / c.period_s * c.steps_per_period as f64;
         let share = (effort * NOMINAL_STEPS / steps).clamp(LEAST_SHARE, 1.0);
         let count = |machines: usize| (machines as f64 * share) as usize;
-        let tolerances = Tolerances { share: 0.05, of: self.tolerances.clone() };
+        let tolerances = self.spread();
         let period = self.period_spread.clamp(LEAST_PERIOD, MOST_PERIOD);
         let load = self.load_spread.map_or(LOAD, |spread| (2.0 * spread).clamp(0.02, 0.2));
         let noise = self.noise.clamp(3e-4, 0.02);
@@ -80,6 +102,7 @@ impl TrainingBasis {
                 load,
                 period,
                 unknown_contact: self.unknown_contact,
+                unknown_seal: true,
             },
             noise: ((noise / NOISE_ROOM).max(1e-4), (noise * NOISE_ROOM).max(0.003)),
             filter: Some(filter(spec.cycle.period_s, c.log_period_s())),
@@ -88,6 +111,7 @@ impl TrainingBasis {
                 machine_load: load,
                 period,
                 unknown_contact: self.unknown_contact,
+                unknown_seal: true,
                 ..Conditions::default()
             },
             ..usual

@@ -281,7 +281,9 @@ fn model(
         None => folder.read_plant()?,
     };
     let effort = if arguments.quick { QUICK } else { 1.0 };
-    let settings = folder.read_basis()?.settings(&spec, effort);
+    let basis = folder.read_basis()?;
+    let spec = basis.with_steps_for_all(&spec);
+    let settings = basis.settings(&spec, effort);
     let trained = with_progress(&spec, &settings).map_err(|error| training_failure(&error))?;
     folder.write("model.json", &trained.json)?;
     let model = load_model(&folder.path("model.json"))?;
