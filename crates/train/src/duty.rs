@@ -78,8 +78,10 @@ struct AnchoringMoves {
     further: Vec<usize>,
 }
 
-/// A cycle of up to so many moves without waits is told by its largest two.
+/// A cycle of up to so many moves without waits is told by its largest two, where no other is like them.
 const FEW_MOVES: usize = 3;
+/// A move the same way that is longer than this share of one of those two may be taken for it.
+const ALIKE_SHARE: f64 = 0.25;
 /// A move below this share of the fastest one's mean speed moves the valve too little to be found by.
 const SLOW_SHARE: f64 = 0.15;
 
@@ -88,7 +90,10 @@ fn anchoring_moves(spec: &MachineSpec) -> Result<AnchoringMoves, TrainError> {
     let lengths: Vec<f64> = spec.cycle.moves_from().map(|(from_m, stroke)| stroke.to_m - from_m).collect();
     let largest = largest_moves(&lengths)?;
     let waits = moves[..moves.len() - 1].iter().any(|stroke| stroke.wait_s > 0.0);
-    if moves.len() <= FEW_MOVES && !waits {
+    let is_alike =
+        |index: usize, other: usize| index != other && lengths[index] / lengths[other] > ALIKE_SHARE;
+    let alike = (0..moves.len()).any(|index| largest.iter().any(|other| is_alike(index, *other)));
+    if moves.len() <= FEW_MOVES && !waits && !alike {
         return Ok(AnchoringMoves { largest, further: Vec::new() });
     }
     let speed = |index: usize| (lengths[index] / (moves[index].to_s - moves[index].from_s)).abs();

@@ -229,7 +229,9 @@ fn describe(
     let found = find_duty_cycle(&recording)
         .map_err(|error| Failure::data(format!("{error}. {}", told::WITHOUT_A_CYCLE)))?;
     told::cycle(&recording, &found);
-    let adoption = adopt(&recording, &found, machine).map_err(|error| failure(&error))?;
+    let mut adoption = adopt(&recording, &found, machine).map_err(|error| failure(&error))?;
+    let basis = TrainingBasis::of(&adoption, &found);
+    adoption.spec = basis.with_steps_for_all(&adoption.spec);
     if adoption.position_offset_m != 0.0 {
         for signal in [Signal::Position, Signal::Demand] {
             if let Some(mapping) = config.signals.get_mut(&signal) {
@@ -240,7 +242,7 @@ fn describe(
     told::machine(&adoption);
     let plant = adoption.spec.to_toml().map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
     folder.write("plant.toml", files::plant_toml(&plant, &adoption))?;
-    folder.write_basis(&TrainingBasis::of(&adoption, &found))?;
+    folder.write_basis(&basis)?;
     Ok(Described { recording, found, adoption, proposal })
 }
 
