@@ -138,7 +138,8 @@ impl BaselineComparator {
         self.tracker.take(model.causes().filter(|_| is_plain)?, &self.baseline, cycle)
     }
 
-    /// The estimate beside the cause that has been found, its response taken off; `None` where there is none to take off.
+    /// The estimate beside the cause that has been found, its response taken off, or that of a leak beyond training; `None` where the plain
+    /// estimate stands.
     fn beside(
         &self,
         relative: &Relative,
@@ -147,11 +148,17 @@ impl BaselineComparator {
         (plain, load_change): (&RelativeEstimate, Option<f64>),
     ) -> Option<RelativeEstimate> {
         let explanation = &explained.explanation;
+        let is_beyond_training = plain.out_of_distribution.score > 1.0;
+        if is_beyond_training && explanation.verdict == Verdict::Named(Cause::PistonSeal, None) {
+            let is_sure = explained.agreeing >= cause::TOLD_AFTER;
+            return cause::leak_beyond_training(explanation, *plain).filter(|_| is_sure);
+        }
         // Beside a leak the other cause must be certain: it would carry the baseline over what nobody knows.
         let is_open =
             matches!(explanation.verdict, Verdict::Unknown | Verdict::Named(Cause::PistonSeal, None));
         let (kind, has_leak) = explanation.other.filter(|_| !is_open)?;
-        if !cause::is_taken_off(kind, load_change.is_some(), plain.out_of_distribution.score > 1.0) {
+        let hides_a_leak = !has_leak && explanation.seal >= cause::IN_DOUBT && !is_beyond_training;
+        if hides_a_leak || !cause::is_taken_off(kind, load_change.is_some(), is_beyond_training) {
             return None;
         }
         let mut present = cycle.statistics.phase_means();

@@ -17,6 +17,8 @@ pub const LISTED_FROM: f64 = 0.01;
 pub const TOLD_AFTER: u64 = 3;
 /// Probability of an explanation that the leak's interval leaves open.
 const LEFT_OPEN: f64 = 0.05;
+/// Probability of the seal from which on another cause alone takes nothing off its leak: it could hide one.
+pub(crate) const IN_DOUBT: f64 = 0.2;
 
 /// The name of a verdict's cause in messages.
 pub const fn name_of(verdict: Verdict) -> &'static str {
@@ -36,6 +38,17 @@ pub(crate) fn is_taken_off(kind: Kind, knows_load: bool, is_beyond_training: boo
         (Cause::OilViscosity | Cause::Supply, _) => is_beyond_training,
         _ => true,
     }
+}
+
+/// A leak that is surely one, though no cycle of training's comparison was like it: its size is that of the explanation.
+pub(crate) fn leak_beyond_training(
+    explanation: &Explanation,
+    plain: RelativeEstimate,
+) -> Option<RelativeEstimate> {
+    let seal = explanation.candidate(Cause::PistonSeal).filter(|seal| seal.size > 0.0)?;
+    let interval = seal.interval90.map(|end| end.max(0.0));
+    let estimate = Estimate { value: seal.size, interval, ..plain.estimate };
+    Some(RelativeEstimate { estimate, leak_residual_m2: seal.size, ..plain })
 }
 
 /// The leak beside a cause whose response was taken off: none in an explanation without the seal; the interval has what other explanations leave open.
