@@ -44,6 +44,8 @@ const UNIFORM: f64 = 1.732_050_8;
 /// Kroll, Hydraulic Servo-systems, 2003, chapter 4), and the null of a valve as adjusted, share of full command.
 const USUAL_FRICTION: f64 = 0.02;
 const USUAL_NULL: f64 = 0.02;
+/// How well a load is known that was read off the strokes, standard deviation as a share.
+const READ_OFF: f64 = 0.1;
 /// The spool's lag: effect and parameter; its frequency where nothing else is known, the fastest that the effect has, Hz; and its damping with a
 /// standard deviation.
 const LAG: (&str, &str) = ("valve_lag", "natural_frequency_hz");
@@ -403,7 +405,11 @@ impl Adopter<'_> {
             (format!("{}.{}", LAG.0, LAG.1), USUAL_LAG_HZ, USUAL_LAG_HZ),
             (format!("{}.damping", LAG.0), USUAL_DAMPING.0, USUAL_DAMPING.1),
         ];
-        of_data_sheet.chain(of_parts.map(|(key, value, sigma)| (key, Known { value, sigma }))).collect()
+        // A load that strokes betrayed is known as well as they tell it; that of a log may have any scale.
+        let is_read_off = self.recording.log.get(Signal::Load).is_none();
+        let of_load = is_read_off.then(|| ("load_scale".to_owned(), Known { value: 1.0, sigma: READ_OFF }));
+        let of_parts = of_parts.map(|(key, value, sigma)| (key, Known { value, sigma }));
+        of_data_sheet.chain(of_parts).chain(of_load).collect()
     }
 
     /// The recorded cycles one after the other, each stroke in its planned place, under the plan's demand and load.

@@ -26,6 +26,8 @@ pub struct Spread {
     pub unknown_contact: bool,
     /// Whether seals of half of the machines leak more like a gap than like an orifice.
     pub unknown_seal: bool,
+    /// How far a machine's valve may pass more or less oil near its null than in proportion, share to either side.
+    pub null_gain: f64,
 }
 
 impl Default for Spread {
@@ -36,6 +38,7 @@ impl Default for Spread {
             period: 0.03,
             unknown_contact: false,
             unknown_seal: false,
+            null_gain: 0.0,
         }
     }
 }
@@ -50,7 +53,8 @@ impl Spread {
         let load_factor = noise.factor(self.load);
         let stretch = noise.factor(self.period);
         let laminar_share = if self.unknown_seal { unknown_seal::laminar_share(noise) } else { 0.0 };
-        Observation { spec, load_factor, stretch, leak_area_m2: 0.0, laminar_share, stream }
+        let leak_gain = if self.null_gain > 0.0 { noise.factor(self.null_gain) } else { 1.0 };
+        Observation { spec, load_factor, stretch, leak_area_m2: 0.0, laminar_share, leak_gain, stream }
     }
 }
 
@@ -67,6 +71,8 @@ pub struct Observation {
     pub leak_area_m2: f64,
     /// Share of the leak that is laminar, at the pressure difference at which leaks are given.
     pub laminar_share: f64,
+    /// Leak that the machine is simulated with, over the true one: what a valve that is not in proportion near its null makes of it.
+    pub leak_gain: f64,
     /// Number of the random stream for its noise.
     pub stream: u64,
 }
@@ -125,8 +131,9 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
         .iter()
         .map(|observation| {
             let mut spec = observation.spec.clone();
+            let leak_area_m2 = observation.leak_area_m2 * observation.leak_gain;
             let leak_area_m2 =
-                unknown_seal::with_gap(&mut spec.plant, observation.leak_area_m2, observation.laminar_share);
+                unknown_seal::with_gap(&mut spec.plant, leak_area_m2, observation.laminar_share);
             let planned_ticks = observation.spec.cycle.period_s / observation.spec.controller.period_s;
             let period_ticks = (planned_ticks * observation.stretch).round() as u64;
             let lead = (lead(observation) * observation.spec.controller.log_every) as u64;
@@ -224,7 +231,15 @@ mod tests {
             for assignment in assignments {
                 spec.set_effect(assignment).unwrap();
             }
-            Observation { spec, load_factor: 1.0, stretch: 1.0, leak_area_m2, laminar_share: 0.0, stream: 0 }
+            Observation {
+                spec,
+                load_factor: 1.0,
+                stretch: 1.0,
+                leak_area_m2,
+                laminar_share: 0.0,
+                leak_gain: 1.0,
+                stream: 0,
+            }
         };
         let deadband = ["valve_deadband.half_width=0.01"];
         let accumulator = ["accumulator.volume_m3=0.002", "accumulator.precharge_pa=1e7"];
@@ -279,6 +294,7 @@ mod tests {
                 stretch: 1.0,
                 leak_area_m2: 0.0,
                 laminar_share: 0.0,
+                leak_gain: 1.0,
                 stream: 49,
             };
             let ticks = simulate(&[one], |_, commands| commands.len())[0] as f64;

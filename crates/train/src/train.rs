@@ -49,6 +49,8 @@ pub struct TrainingSettings {
     pub relative_machines: usize,
     /// Machines with which each range of sizes of each cause is simulated; 0: the model names no causes.
     pub cause_machines: usize,
+    /// Least share of the simulated cycles that must be recognised for a model to be made; the others are left out.
+    pub least_recognised: f64,
     /// Machines that calibrate intervals and out-of-distribution limits.
     pub calibrated_on: usize,
     /// Machines that the comparison is measured on.
@@ -73,6 +75,7 @@ impl Default for TrainingSettings {
             conditions: Conditions::default(),
             relative_machines: 640,
             cause_machines: 16,
+            least_recognised: 0.99,
             calibrated_on: 2048,
             tested_on: 512,
             noise_table: false,
@@ -357,7 +360,7 @@ fn learn_set(
         cases.extend(read.into_iter().flatten());
         tell(Stage::Simulate, cases.len(), observations.len());
     }
-    if cases.len() * 100 < observations.len() * 99 {
+    if (cases.len() as f64) < settings.least_recognised * observations.len() as f64 {
         return Err(TrainError::Unrecognised { found: cases.len(), simulated: observations.len() });
     }
     Ok(cases)
@@ -407,8 +410,11 @@ fn recognises_the_largest(
         reading.read(commands, settings.filter, settings.noise.1, &unit).is_some()
     });
     let recognised = read.into_iter().filter(|recognised| *recognised).count();
-    recognised * 100 >= observations.len() * 95
+    recognised as f64 >= (settings.least_recognised - FEWER_OF_THE_LARGEST) * observations.len() as f64
 }
+
+/// With the largest leak so much less of the machines may be recognised: it is drawn seldom.
+const FEWER_OF_THE_LARGEST: f64 = 0.04;
 
 /// Fills the anchors' templates from simulated machines.
 fn with_templates(
