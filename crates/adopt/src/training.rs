@@ -27,9 +27,8 @@ const NOISE_ROOM: f64 = 3.0;
 /// Least variation of the period and of the load that training draws, shares.
 const LEAST_PERIOD: f64 = 0.01;
 const LOAD: f64 = 0.05;
-/// How far a valve's flow near its null may be from proportion, share to either side: a healthy log does not show it, and data sheets leave
-/// the gain of the null region open by much more (ISO 10770-1).
-const NULL_GAIN: f64 = 0.1;
+/// How far a valve's flow gain may be off at its null, share to either side: a healthy log does not show it, and data sheets allow more.
+const NULL_DEVIATION: f64 = 0.3;
 /// Least share of simulated cycles that must be recognised: of the machines that calibration leaves possible some do not follow their cycle, as
 /// this one does.
 const LEAST_RECOGNISED: f64 = 0.8;
@@ -109,7 +108,7 @@ impl TrainingBasis {
                 period,
                 unknown_contact: self.unknown_contact,
                 unknown_seal: true,
-                null_gain: NULL_GAIN,
+                null_deviation: NULL_DEVIATION,
             },
             least_recognised: LEAST_RECOGNISED,
             noise: ((noise / NOISE_ROOM).max(1e-4), (noise * NOISE_ROOM).max(0.003)),
@@ -120,7 +119,7 @@ impl TrainingBasis {
                 period,
                 unknown_contact: self.unknown_contact,
                 unknown_seal: true,
-                null_gain: NULL_GAIN,
+                null_deviation: NULL_DEVIATION,
                 ..Conditions::default()
             },
             ..usual

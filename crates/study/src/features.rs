@@ -113,7 +113,7 @@ pub(crate) fn presses(spec: &MachineSpec, areas_m2: &[f64], stream: u64) -> Vec<
             stretch: 1.0,
             leak_area_m2: *area,
             laminar_share: 0.0,
-            leak_gain: 1.0,
+            null_deviation: 0.0,
             stream,
         })
         .collect()

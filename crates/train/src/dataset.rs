@@ -11,7 +11,7 @@ use seepd_sim::noise::Noise;
 use seepd_sim::series::{self, Tolerances};
 
 use crate::leak_range::LeakRange;
-use crate::{unknown_contact, unknown_seal};
+use crate::{null_region, unknown_contact, unknown_seal};
 
 /// How simulated machines differ from the plan.
 #[derive(Debug, Clone, PartialEq)]
@@ -26,8 +26,8 @@ pub struct Spread {
     pub unknown_contact: bool,
     /// Whether seals of half of the machines leak more like a gap than like an orifice.
     pub unknown_seal: bool,
-    /// How far a machine's valve may pass more or less oil near its null than in proportion, share to either side.
-    pub null_gain: f64,
+    /// How far the flow gain of a machine's valve may be off at its null, share to either side.
+    pub null_deviation: f64,
 }
 
 impl Default for Spread {
@@ -38,7 +38,7 @@ impl Default for Spread {
             period: 0.03,
             unknown_contact: false,
             unknown_seal: false,
-            null_gain: 0.0,
+            null_deviation: 0.0,
         }
     }
 }
@@ -53,8 +53,9 @@ impl Spread {
         let load_factor = noise.factor(self.load);
         let stretch = noise.factor(self.period);
         let laminar_share = if self.unknown_seal { unknown_seal::laminar_share(noise) } else { 0.0 };
-        let leak_gain = if self.null_gain > 0.0 { noise.factor(self.null_gain) } else { 1.0 };
-        Observation { spec, load_factor, stretch, leak_area_m2: 0.0, laminar_share, leak_gain, stream }
+        let widest = self.null_deviation;
+        let null_deviation = if widest > 0.0 { noise.uniform(-widest, widest) } else { 0.0 };
+        Observation { spec, load_factor, stretch, leak_area_m2: 0.0, laminar_share, null_deviation, stream }
     }
 }
 
@@ -71,8 +72,8 @@ pub struct Observation {
     pub leak_area_m2: f64,
     /// Share of the leak that is laminar, at the pressure difference at which leaks are given.
     pub laminar_share: f64,
-    /// Leak that the machine is simulated with, over the true one: what a valve that is not in proportion near its null makes of it.
-    pub leak_gain: f64,
+    /// By what share the leak that is held against at the valve's null is larger than the true one.
+    pub null_deviation: f64,
     /// Number of the random stream for its noise.
     pub stream: u64,
 }
@@ -131,7 +132,11 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
         .iter()
         .map(|observation| {
             let mut spec = observation.spec.clone();
-            let leak_area_m2 = observation.leak_area_m2 * observation.leak_gain;
+            let leak_area_m2 = null_region::leak_as_held_m2(
+                &spec.plant,
+                observation.leak_area_m2,
+                observation.null_deviation,
+            );
             let leak_area_m2 =
                 unknown_seal::with_gap(&mut spec.plant, leak_area_m2, observation.laminar_share);
             let planned_ticks = observation.spec.cycle.period_s / observation.spec.controller.period_s;
@@ -237,7 +242,7 @@ mod tests {
                 stretch: 1.0,
                 leak_area_m2,
                 laminar_share: 0.0,
-                leak_gain: 1.0,
+                null_deviation: 0.0,
                 stream: 0,
             }
         };
@@ -294,7 +299,7 @@ mod tests {
                 stretch: 1.0,
                 leak_area_m2: 0.0,
                 laminar_share: 0.0,
-                leak_gain: 1.0,
+                null_deviation: 0.0,
                 stream: 49,
             };
             let ticks = simulate(&[one], |_, commands| commands.len())[0] as f64;

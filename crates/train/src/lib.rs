@@ -7,6 +7,7 @@ pub mod duty;
 pub mod forest;
 pub mod leak_range;
 mod linear;
+mod null_region;
 mod out_of_distribution;
 mod pca;
 pub mod relative;

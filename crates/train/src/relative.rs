@@ -58,8 +58,8 @@ pub struct Conditions {
     pub unknown_contact: bool,
     /// Whether seals of half of the machines leak more like a gap than like an orifice.
     pub unknown_seal: bool,
-    /// How far a machine's valve may pass more or less oil near its null than in proportion, share to either side.
-    pub null_gain: f64,
+    /// How far the flow gain of a machine's valve may be off at its null, share to either side.
+    pub null_deviation: f64,
 }
 
 impl Default for Conditions {
@@ -74,7 +74,7 @@ impl Default for Conditions {
             deadband: (1.0 / 3.0, 0.02),
             unknown_contact: false,
             unknown_seal: false,
-            null_gain: 0.0,
+            null_deviation: 0.0,
         }
     }
 }
@@ -88,7 +88,7 @@ impl Conditions {
             stretch: noise.factor(self.period),
             leak_area_m2: 0.0,
             laminar_share: 0.0,
-            leak_gain: 1.0,
+            null_deviation: 0.0,
             stream: 0,
         };
         let (share, widest) = self.deadband;
@@ -101,8 +101,8 @@ impl Conditions {
         if self.unknown_seal {
             observation.laminar_share = unknown_seal::laminar_share(noise);
         }
-        if self.null_gain > 0.0 {
-            observation.leak_gain = noise.factor(self.null_gain);
+        if self.null_deviation > 0.0 {
+            observation.null_deviation = noise.uniform(-self.null_deviation, self.null_deviation);
         }
         observation
     }
