@@ -152,11 +152,18 @@ impl Answer {
 
 /// Asks over HTTP; `None` where nobody answers.
 pub(crate) fn ask(port: u16, method: &str, path: &str, headers: &str) -> Option<Answer> {
+    ask_with(port, method, path, headers, "")
+}
+
+/// The same with something to say.
+pub(crate) fn ask_with(port: u16, method: &str, path: &str, headers: &str, said: &str) -> Option<Answer> {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).ok()?;
     stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
     let host = if headers.contains("Host:") { String::new() } else { format!("Host: 127.0.0.1:{port}\r\n") };
-    let request =
-        format!("{method} {path} HTTP/1.1\r\n{host}{headers}Connection: close\r\nContent-Length: 0\r\n\r\n");
+    let request = format!(
+        "{method} {path} HTTP/1.1\r\n{host}{headers}Connection: close\r\nContent-Length: {}\r\n\r\n{said}",
+        said.len()
+    );
     stream.write_all(request.as_bytes()).ok()?;
     let mut text = String::new();
     stream.read_to_string(&mut text).ok()?;

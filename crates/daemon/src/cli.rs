@@ -36,6 +36,7 @@ enum Command {
     Replay(commands::replay::ReplayArguments),
     LearnBaseline(commands::learn_baseline::LearnBaselineArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
+    Repair(commands::repair::RepairArguments),
     #[cfg(feature = "live")]
     Run(commands::run::RunArguments),
     #[cfg(feature = "live")]
@@ -82,6 +83,7 @@ pub fn main() -> ExitCode {
         Command::Replay(arguments) => commands::replay::run(arguments),
         Command::LearnBaseline(arguments) => commands::learn_baseline::run(arguments),
         Command::Evaluate(arguments) => commands::evaluate::run(arguments),
+        Command::Repair(arguments) => commands::repair::run(arguments),
         #[cfg(feature = "live")]
         Command::Run(arguments) => commands::run::run(arguments),
         #[cfg(feature = "live")]

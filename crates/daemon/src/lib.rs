@@ -25,6 +25,7 @@ pub mod output;
 mod progress;
 mod quantity;
 pub mod reasons;
+pub mod repair_log;
 pub mod sink;
 
 pub use cli::main;

@@ -122,7 +122,7 @@ pub const ALL: [Explanation; 18] = [
     Explanation {
         name: "incomplete",
         meaning: "it begins before the log or ends after it, or a stroke is missing",
-        cause: "At the ends of a log it is ordinary. For most cycles of a log it means that the model knows another duty cycle: other strokes, or another period.",
+        cause: "At the ends of a log it is ordinary, and for the cycle during which a repair was noted. For most cycles of a log it means that the model knows another duty cycle: other strokes, or another period.",
         check: "The summary says at what period the command repeats and which cycles the model knows; `seepd check model.json` has the latter too.",
         cure: "Describe this machine: `seepd adopt LOG --out FOLDER`. Several duty cycles of one machine: docs/baseline.md.",
     },

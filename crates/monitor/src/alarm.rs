@@ -329,6 +329,13 @@ impl Alarm {
         self.lost(reason)
     }
 
+    /// The seal has been replaced: what was known of the leak is another seal's, and nothing is known of this one until a cycle comes.
+    pub fn begin_anew(&mut self) -> Option<Change> {
+        let change = self.lost(NO_CYCLE_YET);
+        *self = Alarm { highest: self.highest, ..Alarm::default() };
+        change
+    }
+
     /// The input gives no estimates any more.
     pub fn lost(&mut self, reason: &'static str) -> Option<Change> {
         let from = self.flag();
@@ -360,6 +367,23 @@ mod tests {
             })
             .collect();
         (alarm, changes)
+    }
+
+    #[test]
+    fn a_new_seal_begins_without_a_flag_and_raises_its_own() {
+        let config = AlarmConfig::default();
+        let (mut alarm, _) = run(&[0.7, 0.7, 0.7]);
+        let change = alarm.begin_anew().unwrap();
+        assert_eq!((change.from, change.to, alarm.highest()), (Flag::Leak, Flag::NoEstimate, Flag::Leak));
+        assert_eq!(alarm.begin_anew(), None);
+        // The leak stands: it takes three cycles again, and until then it is not called healthy.
+        let flags: Vec<Flag> = [0.7, 0.7, 0.7]
+            .map(|flow| {
+                alarm.estimated(&config, flow);
+                alarm.flag()
+            })
+            .to_vec();
+        assert_eq!(flags, [Flag::NoEstimate, Flag::NoEstimate, Flag::Leak]);
     }
 
     #[test]

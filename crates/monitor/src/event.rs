@@ -12,6 +12,7 @@ use crate::baseline::{CusumFinding, LoadKnowledge};
 use crate::cause::LISTED_FROM;
 use crate::energy::Loss;
 use crate::pipeline::observer::Observation;
+use crate::repair::Repaired;
 
 /// L/min in a m³/s.
 pub const LPM_PER_M3_PER_S: f64 = 60_000.0;
@@ -355,6 +356,12 @@ pub enum NoticeKind {
     ConditionFound,
     /// It has not any more.
     ConditionGone,
+    /// An entry of the repair log has been heeded.
+    RepairNoted,
+    /// The cycles since bear it out, or show nothing of it.
+    RepairJudged,
+    /// They contradict it, or the baseline was learned while it was done.
+    RepairContradicted,
     /// The machine is like none of training, and has no baseline to be compared with.
     UnlikeTraining,
     /// The machine has become another one: it needs a new baseline.
@@ -413,6 +420,9 @@ pub struct Summary {
     /// What has changed beside the seal since the baseline, in words; absent where nothing has.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub condition: Option<String>,
+    /// Entries of the repair log that fell into the record; absent where none did.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub repairs: Vec<Repaired>,
     /// Why there is no size; null where there is one.
     pub size_withheld: Option<&'static str>,
     /// What the command looks like where there is no size; null where there is one.

@@ -8,6 +8,7 @@ pub mod event;
 pub mod pipeline;
 pub mod reason;
 pub mod relative;
+pub mod repair;
 
 pub use alarm::{Alarm, AlarmConfig};
 pub use baseline::{Baseline, BaselineError, BaselineFile};

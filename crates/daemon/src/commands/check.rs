@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use seepd_logs::{frame_decoder, open};
+use seepd_monitor::baseline::UNNAMED_AXIS;
 use seepd_monitor::pipeline::DutyCycle;
 use seepd_settings::side_file;
 use serde::Serialize;
@@ -13,12 +14,13 @@ use crate::cli::Outcome;
 use crate::config::{AxisConfig, DaemonConfig, load_model};
 use crate::failure::{Code, Failure};
 use crate::progress::warn;
+use crate::repair_log;
 use crate::sink::terminal::print;
 
 /// Check plant, model and configuration files
 ///
 /// Names the line, the key and the nearest known key of what is wrong. JSON is a model; TOML with a table `[plant]`, `[controller]`,
-/// `[cycle]`, `[effects]` or `[bounds]` is a plant; other TOML is a configuration. The model and the baseline of a configuration are
+/// `[cycle]`, `[effects]` or `[bounds]` is a plant, with `[[repairs]]` a repair log; other TOML is a configuration. The model and the baseline of a configuration are
 /// checked too, and whether the log that it names has the mapped signals. Every file is checked, even after one that is wrong.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd check plant.toml model.json seepd.toml")]
@@ -103,6 +105,8 @@ fn check(path: &Path) -> (&'static str, Result<Good, Failure>) {
         ("model", check_model(path).map(Good::from))
     } else if is_plant(&text) {
         ("plant", check_plant(path, &text).map(Good::from))
+    } else if text.lines().any(|line| line.trim() == "[[repairs]]") {
+        ("repair log", check_repairs(path).map(Good::from))
     } else {
         ("configuration", check_configuration(path))
     }
@@ -114,6 +118,12 @@ fn is_plant(text: &str) -> bool {
         let name = line.trim().trim_start_matches('[').split(['.', ']']).next().unwrap_or_default();
         line.trim().starts_with('[') && tables.contains(&name)
     })
+}
+
+fn check_repairs(path: &Path) -> Result<String, Failure> {
+    // An axis without a name has the entries of all.
+    let repairs = repair_log::read(path, UNNAMED_AXIS)?;
+    Ok(format!("{} entries", repairs.len()))
 }
 
 fn check_model(path: &Path) -> Result<String, Failure> {
@@ -174,6 +184,9 @@ fn check_configuration(path: &Path) -> Result<Good, Failure> {
         }
         if let Some(file) = axis.baseline.file.as_deref().filter(|_| axis.is_relative()) {
             baseline_file::read_relative(file, &axis.axis).map_err(of_axis)?;
+        }
+        if let Some(file) = &axis.repairs {
+            repair_log::read(file, &axis.axis).map_err(of_axis)?;
         }
         if axis.dbc.is_some() || axis.source.can.is_some() {
             frame_decoder(&axis.log_mapping()).map_err(Failure::from).map_err(of_axis)?;

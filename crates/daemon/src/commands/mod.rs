@@ -20,6 +20,7 @@ pub mod init;
 pub mod inspect;
 pub mod learn_baseline;
 pub mod reading;
+pub mod repair;
 pub mod replay;
 #[cfg(feature = "live")]
 pub mod run;

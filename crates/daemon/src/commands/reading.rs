@@ -1,6 +1,7 @@
 //! Where a command that reads logs finds the signals, the model and the baseline.
 
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -8,12 +9,14 @@ use seepd_logs::{LogMapping, Selection, record};
 use seepd_monitor::baseline::{Baseline, LEAST_CYCLES, MOST_CYCLES};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 use seepd_monitor::relative::RelativeMonitor;
+use seepd_monitor::repair::Repair;
 use seepd_signals::Sample;
 
 use crate::baseline_file;
 use crate::config::{AxisConfig, DaemonConfig};
 use crate::failure::{Code, Failure};
 use crate::progress::{byte_bar, counting, warn};
+use crate::repair_log;
 
 /// The arguments that say where the signals are.
 #[derive(Debug, Args)]
@@ -165,6 +168,33 @@ impl BaselineArguments {
         let Some(path) = self.baseline.as_deref().or(config.baseline.file.as_deref()) else { return Ok(()) };
         let baseline = baseline_file::read_relative(path, &config.axis)?;
         monitor.follow(baseline).map_err(|error| Failure::configuration(path, error))
+    }
+}
+
+/// Where a command reads what was done to the machine.
+#[derive(Debug, Args)]
+pub struct RepairsArguments {
+    /// Repair log of the machine, from `seepd repair`; estimates count from a replaced seal on [default: that of the configuration]
+    #[arg(long, value_name = "FILE")]
+    repairs: Option<PathBuf>,
+}
+
+impl RepairsArguments {
+    /// The file that is named, if one is.
+    pub fn file(&self) -> Option<&Path> {
+        self.repairs.as_deref()
+    }
+
+    /// The entries, the oldest first.
+    ///
+    /// # Errors
+    /// [`Failure`] of the file; one that the command line names must be there.
+    pub fn read(&self, config: &AxisConfig) -> Result<Vec<Repair>, Failure> {
+        if let Some(path) = self.repairs.as_deref().filter(|path| !path.exists()) {
+            return Err(Failure::reading(path, &io::ErrorKind::NotFound.into()));
+        }
+        let path = self.repairs.as_deref().or(config.repairs.as_deref());
+        path.map_or(Ok(Vec::new()), |path| repair_log::read(path, &config.axis))
     }
 }
 

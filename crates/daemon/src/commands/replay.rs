@@ -9,9 +9,10 @@ use indicatif::ProgressBar;
 use seepd_logs::open_with;
 use seepd_logs::record::Clock;
 use seepd_monitor::event::{Event, Flag, Summary};
-use seepd_monitor::pipeline::{DutyCycle, Pipeline};
+use seepd_monitor::pipeline::{DutyCycle, Monitor, Pipeline};
+use seepd_monitor::repair::Repair;
 
-use super::reading::{BaselineArguments, ReadingArguments};
+use super::reading::{BaselineArguments, ReadingArguments, RepairsArguments};
 use crate::advice::advice;
 use crate::cli::Outcome;
 use crate::config::AxisConfig;
@@ -45,6 +46,8 @@ pub struct ReplayArguments {
     reading: ReadingArguments,
     #[command(flatten)]
     baseline: BaselineArguments,
+    #[command(flatten)]
+    repairs: RepairsArguments,
     /// Print JSON lines: one for each cycle, then the summary
     #[arg(long)]
     json: bool,
@@ -94,9 +97,10 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     }
     let mut pipeline = Pipeline::new(config.monitor(duty_cycles))?;
     let mut records = arguments.baseline.apply(&mut pipeline, &config)?;
+    let mut repairs = RepairsDue::new(arguments.repairs.read(&config)?);
     let mut files = Files::begin(arguments, &config, &pipeline.config().duty_cycles)?;
     let mut out = Printer::new(arguments, config.reference_dp_pa);
-    let notes = replay_logs(arguments, &config, &mut pipeline, &mut files, &mut out)?;
+    let notes = replay_logs(arguments, (&config, &mut repairs), &mut pipeline, &mut files, &mut out)?;
     let summary = pipeline.summary();
     let advice = summary.observed.as_ref().map(|observed| {
         let source = config.command_source(arguments.logs.first().map(PathBuf::as_path));
@@ -151,9 +155,37 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     }
 }
 
+/// Entries of the repair log that are still to come.
+struct RepairsDue {
+    /// The oldest last.
+    rest: Vec<Repair>,
+    /// Whether a sample has been seen.
+    begun: bool,
+}
+
+impl RepairsDue {
+    fn new(mut repairs: Vec<Repair>) -> Self {
+        repairs.reverse();
+        RepairsDue { rest: repairs, begun: false }
+    }
+
+    /// The next entry up to a time. What was done before the log's first sample, and before the baseline, is no news.
+    #[inline]
+    fn next_until(&mut self, time_ns: i64, pipeline: &Pipeline) -> Option<Repair> {
+        if !self.begun {
+            self.begun = true;
+            let baselines = pipeline.monitors().iter().filter_map(Monitor::baseline);
+            let from_ns = baselines.map(|baseline| baseline.from_ns).fold(time_ns, i64::min);
+            self.rest.retain(|repair| repair.at_ns >= from_ns);
+        }
+        let is_due = self.rest.last().is_some_and(|repair| repair.at_ns <= time_ns);
+        if is_due { self.rest.pop() } else { None }
+    }
+}
+
 fn replay_logs(
     arguments: &ReplayArguments,
-    config: &AxisConfig,
+    (config, repairs): (&AxisConfig, &mut RepairsDue),
     pipeline: &mut Pipeline,
     files: &mut Files,
     out: &mut Printer,
@@ -175,11 +207,15 @@ fn replay_logs(
             if let Some((_, html)) = &mut files.html {
                 html.take_sample(&sample);
             }
-            pipeline.push(&sample, &mut |event| {
+            let mut tell = |event: &Event<'_>| {
                 if failure.is_none() {
                     failure = files.write(arguments, event).and_then(|()| out.event(event)).err();
                 }
-            });
+            };
+            while let Some(repair) = repairs.next_until(sample.time_ns, pipeline) {
+                pipeline.repaired(&repair, &mut tell);
+            }
+            pipeline.push(&sample, &mut tell);
         }
         let mut of_log = source.notes();
         of_log.extend(clock.note(&name));
@@ -204,7 +240,10 @@ impl Files {
         duty_cycles: &[DutyCycle],
     ) -> Result<Self, Failure> {
         let logs = arguments.logs.iter().map(PathBuf::as_path);
-        let inputs = logs.chain(arguments.reading.files(config)).chain(arguments.baseline.file());
+        let inputs = logs
+            .chain(arguments.reading.files(config))
+            .chain(arguments.baseline.file())
+            .chain(arguments.repairs.file());
         let mut outputs = Outputs::new(arguments.overwrite, inputs);
         // All are claimed before the first is begun.
         let csv = outputs.claim_any(arguments.csv.as_ref())?;

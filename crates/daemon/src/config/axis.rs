@@ -45,6 +45,8 @@ pub struct AxisConfig {
     pub alarm: AlarmConfig,
     /// The machine's own baseline.
     pub baseline: BaselineConfig,
+    /// What was done to the machine, relative to this file; absent: the daemon keeps it in its state folder.
+    pub repairs: Option<PathBuf>,
     /// Where live samples come from.
     pub source: SourceConfig,
     /// What the command line says on top.
@@ -68,6 +70,7 @@ impl Default for AxisConfig {
             signals: BTreeMap::new(),
             alarm: AlarmConfig::default(),
             baseline: BaselineConfig::default(),
+            repairs: None,
             source: SourceConfig::default(),
             selection: Selection::default(),
         }
@@ -235,6 +238,7 @@ impl AxisConfig {
         self.model.iter_mut().for_each(place);
         self.dbc.iter_mut().for_each(place);
         self.baseline.file.iter_mut().for_each(place);
+        self.repairs.iter_mut().for_each(place);
         for duty_cycle in &mut self.duty_cycles {
             place(&mut duty_cycle.model);
             duty_cycle.baseline.iter_mut().for_each(place);
@@ -328,7 +332,7 @@ impl AxisConfig {
 
     /// The files that reading a log by this configuration reads beside the log.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
-        let of_axis = [&self.model, &self.dbc].into_iter().flatten().map(PathBuf::as_path);
+        let of_axis = [&self.model, &self.dbc, &self.repairs].into_iter().flatten().map(PathBuf::as_path);
         let models = self.duty_cycles.iter().map(|duty_cycle| duty_cycle.model.as_path());
         of_axis.chain(models).chain(self.baseline_files().into_iter().flatten())
     }

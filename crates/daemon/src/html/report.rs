@@ -5,6 +5,7 @@ use seepd_monitor::alarm::AlarmConfig;
 use seepd_monitor::baseline::Baseline;
 use seepd_monitor::event::{Flag, Summary};
 use seepd_monitor::reason::{NO_PLANT_MODEL, UNCONFIRMED};
+use seepd_monitor::repair::{FIRST_DATE_NS, RepairVerdict};
 
 use super::chart::{Axis, Chart, Layer, Size};
 use super::flags::{self, colour};
@@ -34,9 +35,6 @@ pub struct ReportPage<'a> {
 /// Contributions that are shown.
 const PARTS_SHOWN: usize = 8;
 
-/// Times before this are of a clock that began at the machine's start: no date.
-const FIRST_DATE_NS: i64 = 100_000_000_000_000_000;
-
 /// A date and time, or seconds of a clock that has none.
 fn time_text(time_ns: i64) -> String {
     let date = jiff::Timestamp::from_nanosecond(i128::from(time_ns)).ok();
@@ -63,6 +61,7 @@ impl ReportPage<'_> {
             }
             @if let Some(why) = &self.record.why { (why_table(why)) }
             @if self.baselines.iter().any(|(_, record)| !record.is_empty()) { (self.baseline_record()) }
+            @if !self.summary.repairs.is_empty() { (self.repair_log()) }
             h2 { "The flags" }
             (self.flags())
             h2 { "Rejected cycles" }
@@ -211,6 +210,15 @@ impl ReportPage<'_> {
         logs.map(|log| Layer::Mark { at: log.first_cycle as f64, name: short_name(&log.name) }).collect()
     }
 
+    /// What was done to the machine.
+    fn repair_marks(&self) -> impl Iterator<Item = Layer> {
+        let name = |name: &str| name.replace('_', " ");
+        self.summary
+            .repairs
+            .iter()
+            .map(move |done| Layer::Mark { at: done.cycle as f64, name: name(done.repair.what.name()) })
+    }
+
     fn leak_chart(&self) -> Chart {
         let flow = |area_m2| self.flow_lpm(area_m2);
         let at = |point: &Point| point.cycle as f64;
@@ -222,6 +230,7 @@ impl ReportPage<'_> {
         };
         let band = |p: &Point| (at(p), flow(p.interval_m2[0]), flow(p.interval_m2[1]));
         let mut layers = self.log_marks();
+        layers.extend(self.repair_marks());
         layers.extend([
             Layer::Band { class: "fill-band", points: self.points().map(band).collect() },
             limit("watch", self.alarm.watch_lpm, Flag::Watch),
@@ -273,6 +282,31 @@ impl ReportPage<'_> {
                     td.number { (mm2(baseline.residual_deviation_m2)) }
                     td { (mm2(baseline.absolute_leak_area_m2)) " (" (mm2_interval(baseline.absolute_interval90_m2)) ")" }
                     td { (baseline.remarks.join("; ")) }
+                } } }
+            } }
+        }
+    }
+
+    fn repair_log(&self) -> Markup {
+        let told = |verdict: Option<RepairVerdict>| match verdict {
+            None => "too few cycles yet",
+            Some(RepairVerdict::NotSeen) => "not seen",
+            Some(RepairVerdict::BorneOut) => "borne out",
+            Some(RepairVerdict::Contradicted) => "contradicted",
+        };
+        html! {
+            h2 { "The repairs" }
+            p.soft { "What was done to the machine, as people have noted it, and what the cycles after it say." }
+            div.scroll { table {
+                thead { tr { th { "What" } th { "when" } th.number { "cycle" } th { "who" } th { "note" } th { "the data" } th { "in words" } } }
+                tbody { @for done in &self.summary.repairs { tr {
+                    td { (done.repair.what.name().replace('_', " ")) }
+                    td { (time_text(done.repair.at_ns)) }
+                    td.number { (done.cycle) }
+                    td { (done.repair.who.as_deref().unwrap_or_default()) }
+                    td { (done.repair.note.as_deref().unwrap_or_default()) }
+                    td { (told(done.verdict)) }
+                    td { (done.text.as_deref().unwrap_or_default()) }
                 } } }
             } }
         }

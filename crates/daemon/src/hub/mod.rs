@@ -15,12 +15,12 @@ use tokio::sync::{mpsc, watch};
 
 use crate::clock;
 
-pub use order::{NotTaken, Order};
+pub use order::{NewRepair, NotTaken, Order};
 use publication::{Acknowledged, Envelope, Subscriber, TestAlarm};
 pub use publication::{Kind, Publication, Subscription};
 pub use status::{
-    AxisStatus, AxisView, BaselineStatus, Course, DutyCycleStatus, LIVE_POINTS, RelativeStatus, SinkStatus,
-    SourceHealth, SourceState, TrendPoint,
+    AxisStatus, AxisView, BaselineStatus, Course, DutyCycleStatus, LIVE_POINTS, REPAIRS_TOLD, RelativeStatus,
+    SinkStatus, SourceHealth, SourceState, TrendPoint,
 };
 
 /// Events other than cycles that are kept for who asks later.

@@ -2,6 +2,11 @@
 
 use std::fmt;
 
+use seepd_monitor::repair::{Repair, RepairKind};
+use serde::Deserialize;
+
+use crate::repair_log;
+
 /// What an axis is asked for.
 #[derive(Debug)]
 pub enum Order {
@@ -9,6 +14,53 @@ pub enum Order {
     Acknowledge,
     /// Learn a new baseline from the next cycles: the seal has been replaced.
     Renew,
+    /// Note that something was done to the machine.
+    Repair(NewRepair),
+}
+
+/// An entry for the repair log, as a person gives it.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NewRepair {
+    /// What was done.
+    pub what: RepairKind,
+    /// When, as in the file; absent: now.
+    pub at: Option<String>,
+    /// Who did it.
+    pub who: Option<String>,
+    /// What else there is to say.
+    pub note: Option<String>,
+}
+
+/// Longest entry that is read, bytes.
+const LONGEST_ENTRY: usize = 4096;
+
+impl NewRepair {
+    /// Reads an entry from JSON.
+    ///
+    /// # Errors
+    /// One line that says what is wrong with it.
+    pub fn from_json(bytes: &[u8]) -> Result<Self, String> {
+        if bytes.len() > LONGEST_ENTRY {
+            return Err(format!("an entry has {LONGEST_ENTRY} bytes at most"));
+        }
+        let mut entry: NewRepair =
+            serde_json::from_slice(bytes).map_err(|error| format!("this is no entry: {error}"))?;
+        for text in [&mut entry.at, &mut entry.who, &mut entry.note] {
+            // A form's empty field says nothing.
+            *text = text.take().filter(|text| !text.trim().is_empty());
+        }
+        repair_log::check_texts(entry.who.as_deref(), entry.note.as_deref())?;
+        entry.at.as_deref().map_or(Ok(0), repair_log::parse_time)?;
+        Ok(entry)
+    }
+
+    /// The entry, of a time that is now unless it names another.
+    pub fn at(self, now_ns: i64) -> Repair {
+        let NewRepair { what, at, who, note } = self;
+        let named = at.and_then(|text| repair_log::parse_time(&text).ok());
+        Repair { at_ns: named.unwrap_or(now_ns), what, who, note }
+    }
 }
 
 /// Why an order was not taken.

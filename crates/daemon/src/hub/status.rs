@@ -8,12 +8,15 @@ use seepd_monitor::event::Flag;
 use seepd_monitor::pipeline::Monitor;
 use seepd_monitor::reason::NO_CYCLE_YET;
 use seepd_monitor::relative::RelativeMonitor;
+use seepd_monitor::repair::Repaired;
 use serde::{Deserialize, Serialize};
 
 /// Cycles whose course is kept for the dashboard.
 const COURSES: usize = 6;
 /// Estimates kept for the trend; when there are as many, every second one goes.
 const TREND: usize = 2000;
+/// Entries of the repair log that a status has.
+pub const REPAIRS_TOLD: usize = 20;
 /// Points of the live command that are kept.
 pub const LIVE_POINTS: usize = 1500;
 
@@ -66,6 +69,8 @@ pub struct AxisStatus {
     pub finding: CusumFinding,
     /// What has changed beside the seal since the baseline, in words, with what to do; null where nothing has.
     pub condition: Option<String>,
+    /// The last entries of the repair log that were heeded, the newest last.
+    pub repairs: Vec<Repaired>,
     /// What has changed since the baseline, on an axis without a model; absent elsewhere.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub relative: Option<RelativeStatus>,
@@ -112,6 +117,7 @@ impl AxisStatus {
             duty_cycles: Vec::new(),
             finding: CusumFinding::None,
             condition: None,
+            repairs: Vec::new(),
             relative: None,
             cycle: None,
             t_last_cycle_ns: None,

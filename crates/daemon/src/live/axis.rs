@@ -11,11 +11,13 @@ use seepd_monitor::baseline::trend::TimeTo;
 use seepd_monitor::event::{CycleLine, Event, Flag, NoticeKind};
 use seepd_monitor::pipeline::{DutyCycle, Monitor, Pipeline};
 use seepd_monitor::reason::{LEARNING_BASELINE, NO_CYCLE_YET};
+use seepd_monitor::repair::{Repair, RepairKind};
 use seepd_signals::{Sample, Signal};
 use tokio::sync::{mpsc, watch};
 
 use super::commission::BaselineRecord;
 use super::relative::RelativeRecord;
+use super::repairs::RepairBook;
 use super::source::{Input, LiveSource};
 use super::state::{AxisState, DutyCycleState, Keeper, LastEstimate};
 use super::systemd::ENDED;
@@ -23,11 +25,13 @@ use crate::advice::advice;
 use crate::clock::Clock;
 use crate::config::{AxisConfig, Pace};
 use crate::hub::{
-    AxisStatus, BaselineStatus, Course, DutyCycleStatus, Hub, LIVE_POINTS, Order, RelativeStatus,
-    SourceState, TrendPoint,
+    AxisStatus, BaselineStatus, Course, DutyCycleStatus, Hub, LIVE_POINTS, NewRepair, Order, REPAIRS_TOLD,
+    RelativeStatus, SourceState, TrendPoint,
 };
 use crate::sink::recording::Recorder;
 
+/// A millisecond, ns.
+const MS_NS: i64 = 1_000_000;
 /// Time between points of the dashboard's curves, ns.
 const POINT_NS: i64 = 20_000_000;
 /// Conditions are told to the hub this often, ns.
@@ -74,16 +78,23 @@ pub(super) async fn run(
     let of_duty_cycles = state.as_ref().map(|state| &state.duty_cycles);
     for (record, monitor) in reporter.records.iter_mut().zip(pipeline.monitors_mut()) {
         let state = of_duty_cycles.and_then(|states| states.get(monitor.name().unwrap_or_default()));
-        record.commission(monitor, state.copied().unwrap_or_default());
+        record.commission(monitor, state.cloned().unwrap_or_default());
     }
     if let (Some(record), Some(monitor)) = (&mut reporter.relative, pipeline.relative_mut()) {
         record
             .commission(monitor, state.as_ref().and_then(|state| state.relative.clone()).unwrap_or_default());
     }
+    reporter.book.look(context.clock.now_ns(), |known| {
+        state.as_ref().is_some_and(|state| state.repairs.iter().any(|heeded| heeded.repair.is_same(known)))
+    });
     if let Some(state) = state {
         pipeline.restore(Alarm::from(state.alarm));
+        pipeline.restore_repairs(state.repairs);
         reporter.latch = state.latch;
         reporter.estimate = state.estimate;
+    } else if config.source.log.is_none() {
+        // The machine as it is found: what was done to it before is no news.
+        reporter.book.skip_until(context.clock.now_ns());
     }
     reporter.tell(&pipeline, &source);
     let mut samples = Vec::with_capacity(1024);
@@ -96,6 +107,7 @@ pub(super) async fn run(
                 match order {
                     Order::Acknowledge => reporter.acknowledge(&pipeline),
                     Order::Renew => reporter.renew(&mut pipeline),
+                    Order::Repair(entry) => reporter.repair(&mut pipeline, entry),
                 }
                 continue;
             }
@@ -129,6 +141,8 @@ struct AxisReporter<'a> {
     records: Vec<BaselineRecord>,
     /// The same of an axis without a model.
     relative: Option<RelativeRecord>,
+    /// What was done to the machine.
+    book: RepairBook,
     /// A baseline has been learned and is not on disk yet.
     learned: bool,
     /// Why it is not; told once.
@@ -183,6 +197,7 @@ impl<'a> AxisReporter<'a> {
             latch: Latch::default(),
             records: pipeline.monitors().iter().enumerate().map(record).collect(),
             relative: pipeline.relative().map(|_| RelativeRecord::open(&context.folder, config)),
+            book: RepairBook::open(&context.folder, config),
             learned: false,
             unsaved: None,
             duty_cycle: 0,
@@ -211,6 +226,9 @@ impl<'a> AxisReporter<'a> {
         samples: &[Sample],
         recorder: &watch::Receiver<Option<Recorder>>,
     ) {
+        let is_known =
+            |repair: &Repair| pipeline.repairs().iter().any(|heeded| heeded.repair.is_same(repair));
+        self.book.look(self.context.clock.now_ns(), is_known);
         if samples.is_empty() {
             return;
         }
@@ -221,6 +239,9 @@ impl<'a> AxisReporter<'a> {
             self.sample_ns = sample.time_ns;
             if let Some(recorder) = recorder.as_ref() {
                 recorder.sample(&self.config.axis, sample, pace);
+            }
+            while let Some(repair) = self.book.next_until(sample.time_ns) {
+                self.heed_repair(pipeline, &repair);
             }
             pipeline.push(sample, &mut |event| self.publish(event));
         }
@@ -349,6 +370,28 @@ impl<'a> AxisReporter<'a> {
         });
     }
 
+    /// Something was done to the machine: noted in the log, and heeded at once unless its time is still to come.
+    fn repair(&mut self, pipeline: &mut Pipeline, entry: NewRepair) {
+        // A log's samples have its own time; whole milliseconds read better in the file.
+        let of_log = self.config.source.log.is_some();
+        let now_ns = if of_log { self.sample_ns } else { self.context.clock.now_ns() };
+        let repair = entry.at(now_ns - now_ns.rem_euclid(MS_NS));
+        self.book.add(repair.clone());
+        if repair.at_ns <= now_ns {
+            self.heed_repair(pipeline, &repair);
+            self.keep(pipeline);
+        }
+        self.news = true;
+    }
+
+    fn heed_repair(&mut self, pipeline: &mut Pipeline, repair: &Repair) {
+        let is_of_seal = repair.what == RepairKind::SealReplaced;
+        if pipeline.repaired(repair, &mut |event| self.publish(event)) && is_of_seal {
+            // What was latched is another seal's.
+            self.latch = Latch::default();
+        }
+    }
+
     /// The seal has been replaced: estimates count from here, as soon as there is a baseline.
     fn renew(&mut self, pipeline: &mut Pipeline) {
         let has_begun = |(record, monitor): (&BaselineRecord, &Monitor)| {
@@ -393,7 +436,11 @@ impl<'a> AxisReporter<'a> {
 
     fn keep(&self, pipeline: &Pipeline) {
         let of_duty_cycle = |(record, monitor): (&BaselineRecord, &Monitor)| {
-            let state = DutyCycleState { cusum: monitor.cusum(), renewing: record.is_renewing() };
+            let state = DutyCycleState {
+                cusum: monitor.cusum(),
+                renewing: record.is_renewing(),
+                aftercare: monitor.aftercare().to_vec(),
+            };
             (monitor.name().unwrap_or_default().to_owned(), state)
         };
         let state = AxisState {
@@ -406,6 +453,7 @@ impl<'a> AxisReporter<'a> {
                 .as_ref()
                 .zip(pipeline.relative())
                 .map(|(record, monitor)| record.state(monitor)),
+            repairs: pipeline.repairs().to_vec(),
         };
         self.context.keeper.keep(&self.config.axis, state);
     }
@@ -482,6 +530,7 @@ impl<'a> AxisReporter<'a> {
                 duty_cycles,
                 finding,
                 condition: pipeline.condition().map(str::to_owned),
+                repairs: pipeline.repairs().iter().rev().take(REPAIRS_TOLD).rev().cloned().collect(),
                 relative,
                 cycle: last.map(|last| last.cycle),
                 t_last_cycle_ns: last.map(|last| last.end_ns),

@@ -81,6 +81,7 @@ impl BaselineRecord {
             Some(baseline) => {
                 monitor.follow(baseline.clone());
                 state.cusum.into_iter().for_each(|cusum| monitor.restore_cusum(cusum));
+                monitor.restore_aftercare(state.aftercare);
             }
             None if self.learn_cycles > 0 => {
                 let begun = monitor.learn("commissioning", self.learn_cycles);

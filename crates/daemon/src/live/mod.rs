@@ -6,6 +6,7 @@
 mod axis;
 mod commission;
 mod relative;
+mod repairs;
 mod sinks;
 pub mod socketcan;
 mod source;

@@ -13,6 +13,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use seepd_monitor::alarm::{AlarmState, Latch};
 use seepd_monitor::baseline::Cusum;
 use seepd_monitor::relative::charts::Sums;
+use seepd_monitor::repair::{Aftercare, Repaired};
 use seepd_settings::side_file;
 use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
@@ -48,6 +49,9 @@ pub struct AxisState {
     /// What is kept of an axis without a model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub relative: Option<RelativeState>,
+    /// Entries of the repair log that were heeded.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub repairs: Vec<Repaired>,
 }
 
 /// What is kept of an axis without a model.
@@ -60,13 +64,16 @@ pub struct RelativeState {
 }
 
 /// What is kept of a duty cycle.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct DutyCycleState {
     /// The CUSUM of the leak residual against the baseline.
     #[serde(rename = "drift")]
     pub cusum: Option<Cusum>,
     /// Whether a new baseline is being learned in the place of an older one.
     pub renewing: bool,
+    /// Entries of the repair log that have no verdict yet.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub aftercare: Vec<Aftercare>,
 }
 
 impl AxisState {
@@ -78,6 +85,7 @@ impl AxisState {
             estimate: None,
             duty_cycles: BTreeMap::new(),
             relative: None,
+            repairs: Vec::new(),
         }
     }
 }
@@ -292,7 +300,7 @@ mod tests {
         let latch = Latch { latched: Some(Flag::Leak), acknowledged: true };
         let estimate =
             Some(LastEstimate { leak_area_m2: 1e-7, interval90_m2: [0.9e-7, 1.1e-7], leak_flow_lpm: 0.5 });
-        let renewing = DutyCycleState { cusum: None, renewing: true };
+        let renewing = DutyCycleState { renewing: true, ..DutyCycleState::default() };
         let duty_cycles = BTreeMap::from([("long".to_owned(), renewing)]);
         let state = AxisState { latch, estimate, duty_cycles, ..AxisState::of_alarm(leaking()) };
         keeper.keep("press", state.clone());

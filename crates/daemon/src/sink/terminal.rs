@@ -5,6 +5,7 @@ use std::path::Path;
 
 use seepd_monitor::event::{CycleLine, Event, Flag, FlagEvent, Summary};
 use seepd_monitor::reason::UNCONFIRMED;
+use seepd_monitor::repair::RepairVerdict;
 
 use crate::failure::Failure;
 use crate::quantity::{bar, mm2, mm2_interval};
@@ -165,6 +166,9 @@ pub fn write_summary(
     }
     if let Some(condition) = &summary.condition {
         writeln!(out, "beside it: {condition}")?;
+    }
+    for done in summary.repairs.iter().filter(|done| done.verdict == Some(RepairVerdict::Contradicted)) {
+        writeln!(out, "repair: {}", done.text.as_deref().unwrap_or_default())?;
     }
     if let Some(loss) = &summary.loss {
         let (power, energy) = (loss.leak_power_w, loss.leak_energy_kwh_per_year);

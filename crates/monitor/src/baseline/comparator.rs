@@ -113,6 +113,17 @@ impl BaselineComparator {
         self.cusum = cusum;
     }
 
+    /// The machine may be another one from the next cycle on: its causes are looked for anew.
+    pub fn begin_anew(&mut self) {
+        self.tracker.begin_anew();
+    }
+
+    /// The seal is another one: its sums and its trend begin anew.
+    pub fn forget_leak(&mut self) {
+        self.cusum = Cusum::default();
+        self.trend.clear();
+    }
+
     /// Compares a cycle, and remembers nothing of it: the estimate, what is known of the load, and its change.
     pub fn compare(
         &self,

@@ -2,6 +2,8 @@
 
 use seepd_model::causes::{Candidate, Cause, Explanation, Side, SizeUnit, Verdict};
 
+use crate::repair::RepairKind;
+
 /// L/min in a m³/s.
 const LPM: f64 = 60_000.0;
 
@@ -90,6 +92,20 @@ pub fn sentence(explanation: &Explanation) -> Option<String> {
         }
         Verdict::Unknown => Some("something has changed that is none of the known causes.".to_owned()),
     }
+}
+
+/// A cause that a repair has brought, in a sentence: as was to be expected, so that there is nothing to do about it.
+pub fn sentence_after(explanation: &Explanation, what: RepairKind) -> Option<String> {
+    let Verdict::Named(first, second) = explanation.verdict else { return None };
+    let cause = second.unwrap_or(first);
+    let candidate = explanation.candidate(cause)?;
+    let seal = match (first, explanation.seal < 0.1) {
+        (Cause::PistonSeal, _) => ", beside a leak of the piston seal",
+        (_, true) => ", seal unchanged",
+        (_, false) => "",
+    };
+    let words = words_of(cause, candidate.kind.side);
+    Some(format!("{words} ({}) since {}, as was to be expected{seal}.", size_of(candidate), what.words()))
 }
 
 /// What would tell the candidates apart; empty where one is named.

@@ -43,6 +43,11 @@ pub struct Explained {
 }
 
 impl Tracker {
+    /// The machine may be another one from the next cycle on: their mean begins anew. What is known to have changed is not forgotten.
+    pub fn begin_anew(&mut self) {
+        self.cycles = 0;
+    }
+
     /// Takes a cycle's change since the baseline; `None` where the baseline does not know what a phase rises by.
     pub fn take(
         &mut self,

@@ -9,6 +9,7 @@ mod monitor;
 pub mod observer;
 mod progress;
 mod relative;
+mod repairs;
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -291,6 +292,7 @@ impl Pipeline {
             leak_area_m2: area,
             leak_flow_lpm: area.map(|area| self.config.flow_lpm(area)),
             condition: progress.condition.clone(),
+            repairs: progress.repairs.clone(),
             size_withheld,
             observed: size_withheld.map(|_| self.observation()),
             loss: area.map(|area| self.config.loss(self.config.flow_lpm(area))),

@@ -4,13 +4,14 @@ use std::sync::Arc;
 
 use seepd_features::reader::MAX_FEATURES;
 use seepd_features::{CycleReader, CycleState, ReaderError, ValidCycle};
-use seepd_model::causes::Verdict;
+use seepd_model::causes::{Explanation, Verdict};
 use seepd_model::{Attribution, Estimate, Model, OutOfDistribution};
 
 use crate::baseline::comparator::ComparedCycle;
 use crate::baseline::{
     Baseline, BaselineComparator, BaselineError, Cusum, CusumFinding, Learner, LoadKnowledge, relative_of,
 };
+use crate::repair::{Aftercare, Repair, RepairKind};
 
 /// A duty cycle of the axis.
 #[derive(Debug, Clone)]
@@ -99,6 +100,10 @@ pub(super) struct CycleEstimator {
     pub(super) announced: Announced,
     /// Cycles with an estimate.
     pub(super) cycles: u64,
+    /// Entries of the repair log that have no verdict yet.
+    pub(super) aftercare: Vec<Aftercare>,
+    /// What the last cycle was explained by.
+    pub(super) explained: Option<Explanation>,
 }
 
 /// What was announced last.
@@ -110,11 +115,19 @@ pub(super) struct Announced {
     pub(super) unlike: u32,
     /// What has changed beside the seal.
     pub(super) condition: Option<Verdict>,
+    /// The repair that has brought it.
+    pub(super) brought_by: Option<RepairKind>,
 }
 
 impl Default for Announced {
     fn default() -> Self {
-        Announced { finding: CusumFinding::None, load: LoadKnowledge::Inferred, unlike: 0, condition: None }
+        Announced {
+            finding: CusumFinding::None,
+            load: LoadKnowledge::Inferred,
+            unlike: 0,
+            condition: None,
+            brought_by: None,
+        }
     }
 }
 
@@ -147,6 +160,8 @@ impl Monitor {
                 commissioning: Commissioning::Absent,
                 announced: Announced::default(),
                 cycles: 0,
+                aftercare: Vec::new(),
+                explained: None,
             },
         })
     }
@@ -218,6 +233,27 @@ impl Monitor {
             self.estimator.announced.finding = cusum.finding();
         }
     }
+
+    /// Entries of the repair log that have no verdict yet.
+    pub fn aftercare(&self) -> &[Aftercare] {
+        &self.estimator.aftercare
+    }
+
+    /// Takes them up where an earlier run left them.
+    pub fn restore_aftercare(&mut self, aftercare: Vec<Aftercare>) {
+        self.estimator.aftercare = aftercare;
+    }
+}
+
+/// How a repair lies to the baseline in force.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Heeded {
+    /// After it, or there is none: cycles count from the repair on.
+    Anew,
+    /// The baseline was learned after it, and knows it.
+    Known,
+    /// The baseline was learned while it was done.
+    Within,
 }
 
 impl CycleEstimator {
@@ -252,10 +288,52 @@ impl CycleEstimator {
 
     /// Compares a cycle that ends at a time, s, with the baseline, where there is one.
     pub(super) fn compare_cycle(&mut self, valid: &ValidCycle<'_>, end_s: f64) -> Option<ComparedCycle> {
-        match &mut self.commissioning {
+        let compared = match &mut self.commissioning {
             Commissioning::Comparing(comparator) => comparator.take(&self.model, valid, end_s),
             _ => None,
+        };
+        self.explained =
+            compared.and_then(|compared| compared.explained).map(|explained| explained.explanation);
+        compared
+    }
+
+    /// Something was done to the machine; `leak_before_m2` where a leak had been found.
+    pub(super) fn heed(&mut self, repair: &Repair, leak_before_m2: Option<f64>) -> Heeded {
+        match &mut self.commissioning {
+            Commissioning::Comparing(comparator) => {
+                let Baseline { from_ns, to_ns, .. } = *comparator.baseline();
+                if repair.is_before(from_ns) {
+                    return Heeded::Known;
+                }
+                if repair.is_before(to_ns) {
+                    return Heeded::Within;
+                }
+                comparator.begin_anew();
+                if repair.what == RepairKind::SealReplaced {
+                    comparator.forget_leak();
+                    self.announced.finding = CusumFinding::None;
+                }
+            }
+            Commissioning::Learning(learner) if repair.what != RepairKind::Other => {
+                // The cycles so far are another machine's.
+                *learner = Learner::new(learner.occasion(), learner.wanted());
+            }
+            Commissioning::Learning(_) | Commissioning::Absent => {}
         }
+        if repair.what != RepairKind::Other {
+            self.aftercare.push(Aftercare::begin(repair, leak_before_m2, self.explained.as_ref()));
+        }
+        // What it is about is told anew, as the repair's or as one that stands.
+        let is_about = |verdict: Verdict| match verdict {
+            Verdict::Named(first, second) => {
+                repair.what.is_about(first) || second.is_some_and(|second| repair.what.is_about(second))
+            }
+            _ => false,
+        };
+        if self.announced.condition.is_some_and(is_about) {
+            (self.announced.condition, self.announced.brought_by) = (None, None);
+        }
+        Heeded::Anew
     }
 
     fn follow(&mut self, baseline: Baseline) {

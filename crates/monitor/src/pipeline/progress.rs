@@ -9,6 +9,7 @@ use super::MonitorConfig;
 use seepd_model::causes::{Cause, Verdict};
 
 use super::monitor::{Absolute, CycleEstimator};
+use super::repairs::of_two_machines;
 use crate::alarm::{Alarm, Change};
 use crate::baseline::comparator::ComparedCycle;
 use crate::baseline::{CusumFinding, LoadKnowledge};
@@ -18,6 +19,7 @@ use crate::event::{
     Notice, NoticeKind,
 };
 use crate::reason::{UNLIKE_BASELINE, UNLIKE_TRAINING};
+use crate::repair::Repaired;
 
 /// Rejections by reason, in order of first appearance: those of [`Reason`](seepd_features::Reason), and [`UNLIKE_BASELINE`],
 /// [`UNLIKE_TRAINING`] and [`LEARNING_BASELINE`](crate::reason::LEARNING_BASELINE).
@@ -39,8 +41,14 @@ pub(super) struct Progress {
     pub(super) valid: u64,
     rejected: [(&'static str, u64); REASONS],
     recent_m2: [f64; RECENT],
+    /// Estimates among these: those of a seal that has been replaced do not count.
+    pub(super) recent: u64,
     /// What has changed beside the seal, in words.
     pub(super) condition: Option<String>,
+    /// Entries of the repair log that were heeded.
+    pub(super) repairs: Vec<Repaired>,
+    /// Cycles that began before are not of the machine as it is since the last repair, ns.
+    pub(super) anew_from_ns: Option<i64>,
 }
 
 impl Progress {
@@ -82,6 +90,9 @@ impl Progress {
         let (_, end_ns) = span_of(outcome);
         self.last_cycle_ns = end_ns.max(self.last_cycle_ns.min(self.newest_ns));
         let change = match outcome {
+            Outcome::Valid(valid) if self.was_repaired_within(valid) => {
+                self.reject(config, &of_two_machines(valid), sink)
+            }
             Outcome::Valid(valid) => self.take_valid(config, estimator, valid, found_elsewhere, sink),
             Outcome::Rejected(rejected) => self.reject(config, rejected, sink),
         };
@@ -165,7 +176,8 @@ impl Progress {
             self.count_rejection(reason);
             self.alarm.rejected(&config.alarm, reason)
         } else {
-            self.recent_m2[(self.valid % RECENT as u64) as usize] = estimate.value;
+            self.recent_m2[(self.recent % RECENT as u64) as usize] = estimate.value;
+            self.recent += 1;
             self.valid += 1;
             estimator.cycles += 1;
             let found =
@@ -195,6 +207,9 @@ impl Progress {
             }
         }
         self.tell_out_of_distribution(config, estimator, valid.end_ns, (out_of_distribution, reason), sink);
+        if is_known {
+            self.judge_repairs(config, estimator, valid.end_ns, estimate.value, sink);
+        }
         if let Some(learned) = estimator.learn_from(valid, absolute.estimate) {
             let news = match learned {
                 Ok(text) => (NoticeKind::BaselineLearned, text),
@@ -269,10 +284,16 @@ impl Progress {
         if explained.agreeing < TOLD_AFTER {
             return;
         }
-        let sentence = condition::sentence(&explained.explanation);
+        let explanation = &explained.explanation;
+        let sentence = condition::sentence(explanation);
         // Sizes go on changing: news is another cause.
-        let verdict = sentence.as_ref().map(|_| explained.explanation.verdict);
+        let verdict = sentence.as_ref().map(|_| explanation.verdict);
         let is_news = estimator.announced.condition != verdict;
+        if is_news {
+            estimator.announced.brought_by = estimator.repair_behind(explanation);
+        }
+        let after = |what| condition::sentence_after(explanation, what);
+        let sentence = estimator.announced.brought_by.and_then(after).or(sentence);
         self.condition.clone_from(&sentence);
         estimator.announced.condition = verdict;
         if !is_news {
@@ -349,7 +370,7 @@ impl Progress {
         }));
     }
 
-    fn flag_event<'a>(&self, config: &'a MonitorConfig, change: Change, at_ns: i64) -> Event<'a> {
+    pub(super) fn flag_event<'a>(&self, config: &'a MonitorConfig, change: Change, at_ns: i64) -> Event<'a> {
         Event::Flag(FlagEvent {
             schema: "seepd.event/1",
             axis: &config.axis,
@@ -377,7 +398,7 @@ impl Progress {
 
     /// Median of the last estimates, m².
     pub(super) fn recent_area_m2(&self) -> Option<f64> {
-        let count = (self.valid as usize).min(RECENT);
+        let count = (self.recent as usize).min(RECENT);
         let mut recent = self.recent_m2;
         let recent = recent.get_mut(..count)?;
         recent.sort_by(f64::total_cmp);

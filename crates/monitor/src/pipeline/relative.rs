@@ -4,6 +4,7 @@ use seepd_features::Outcome;
 
 use super::MonitorConfig;
 use super::progress::{Progress, span_of};
+use super::repairs::of_two_machines;
 use crate::alarm::Change as FlagChange;
 use crate::event::{CycleLine, Event, FeatureValues, Flag, NoticeKind, RelativeLine};
 use crate::reason::LEARNING_BASELINE;
@@ -26,6 +27,9 @@ impl Progress {
         self.last_cycle_ns = end_ns.max(self.last_cycle_ns.min(self.newest_ns));
         let change = match outcome {
             Outcome::Rejected(rejected) => self.reject(config, rejected, sink),
+            Outcome::Valid(valid) if self.was_repaired_within(valid) => {
+                self.reject(config, &of_two_machines(valid), sink)
+            }
             Outcome::Valid(valid) => {
                 let step = estimator.take(valid, &config.axis);
                 let compared = estimator.charts().filter(|_| matches!(step, Step::Compared));

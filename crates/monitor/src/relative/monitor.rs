@@ -137,6 +137,17 @@ impl RelativeMonitor {
         }
     }
 
+    /// Something was done to the machine: the sums against the baseline begin anew, and learning does.
+    pub(crate) fn begin_anew(&mut self) {
+        match &mut self.estimator.stage {
+            Stage::Watching(watching) => {
+                let baseline = watching.0.clone();
+                self.estimator.follow(baseline);
+            }
+            Stage::Learning(learner) => *learner = learner.anew(),
+        }
+    }
+
     /// What has changed since the baseline.
     pub fn change(&self) -> Option<Change> {
         self.estimator.charts().and_then(Charts::change)

@@ -91,6 +91,7 @@ function show(overview) {
   const axis = overview.axes.find((axis) => axis.axis === chosen);
   showCondition(axis);
   showSource(axis);
+  showRepairs(axis);
   rows(byId("sinks"), overview.sinks.length ? overview.sinks.map((sink) => {
     const counts = sink.sent + " sent, " + sink.waiting + " waiting, " + sink.dropped + " dropped";
     return [sink.name, sink.detail + " · " + counts, !sink.good];
@@ -147,6 +148,29 @@ function showBaseline(axis) {
   byId("projection").textContent = axis.time_to_leak_s === null || axis.time_to_leak_s === 0 ? ""
     : "flag “leak” expected in about " + span(axis.time_to_leak_s) + " (" + span(range[0]) + " … " + span(range[1]) + ")";
   byId("renew").hidden = !axis.baseline.learned_cycles || Boolean(axis.baseline.learning);
+}
+
+const VERDICTS = { not_seen: "not seen", borne_out: "borne out", contradicted: "contradicted" };
+
+// Times of a clock that was never set are no dates.
+const moment = (ns) => ns >= 1e17 ? new Date(ns / 1e6).toLocaleString() : (ns / 1e9).toFixed(1) + " s";
+
+function showRepairs(axis) {
+  const items = [...axis.repairs].reverse().map((done) => {
+    const item = document.createElement("li");
+    const said = [done.who, done.note].filter(Boolean).join(": ");
+    item.textContent = moment(done.t_ns) + " · " + done.what.replaceAll("_", " ") + (said ? " (" + said + ")" : "") + " · "
+      + (done.text || (done.verdict ? VERDICTS[done.verdict] : "too few cycles yet"));
+    if (done.verdict === "contradicted") item.className = "severe";
+    return item;
+  });
+  if (!items.length) {
+    const none = document.createElement("li");
+    none.className = "none";
+    none.textContent = "none";
+    items.push(none);
+  }
+  byId("repairs").replaceChildren(...items);
 }
 
 function showSource(axis) {
@@ -321,24 +345,45 @@ function drawTrend() {
   [...trend].reverse().forEach((point, index) => edge(point, trend.length - 1 - index, 0));
   picture.pen.fill();
   picture.line(trend.map((point, index) => [at(point, index), clip(point.leak_flow_lpm)]), color("accent"), 2);
+  for (const done of axis.repairs) markRepair(picture, canvas, done, at);
   picture.pen.fillStyle = color("soft"); picture.pen.textAlign = "left"; picture.pen.textBaseline = "top";
   picture.pen.fillText(name + " before now", 52, 10);
 }
 
+// A repair on the trend: before the first cycle that ended after it.
+function markRepair({ pen, placeX }, canvas, done, at) {
+  const index = trend.findIndex((point) => point.t_ns >= done.t_ns);
+  if (index < 0 || done.t_ns < trend[0].t_ns) return;
+  const x = placeX(at(trend[index], index));
+  pen.save();
+  pen.setLineDash([4, 3]); pen.strokeStyle = color("soft"); pen.lineWidth = 1;
+  pen.beginPath(); pen.moveTo(x, 8); pen.lineTo(x, canvas.clientHeight - 22); pen.stroke();
+  pen.translate(x + 4, 24); pen.fillStyle = color("soft"); pen.textAlign = "left"; pen.textBaseline = "top";
+  pen.fillText(done.what.replaceAll("_", " "), 0, 0);
+  pen.restore();
+}
+
 // Asks the chosen axis for something, and says where it is not taken.
-async function order(word) {
+async function order(word, body) {
   try {
-    const answer = await fetch("/api/v1/axes/" + encodeURIComponent(chosen) + "/" + word, { method: "POST" });
+    const answer = await fetch("/api/v1/axes/" + encodeURIComponent(chosen) + "/" + word, { method: "POST", body });
     if (!answer.ok) alert((await answer.json()).error);
+    return answer.ok;
   } catch (error) {
     alert("seepd does not answer: " + error.message);
+    return false;
   }
 }
 
 byId("acknowledge").addEventListener("click", () => order("acknowledge"));
 byId("renew").addEventListener("click", () => {
-  const question = "Has the seal been replaced? A new baseline will be learned from the next cycles; the old one is kept as a record.";
+  const question = "Is the machine healthy now? A new baseline will be learned from the next cycles, with whatever leaks; the old one is kept as a record.";
   if (confirm(question)) order("new-baseline");
+});
+byId("repair").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const entry = { what: byId("repair-what").value, who: byId("repair-who").value, note: byId("repair-note").value };
+  if (await order("repairs", JSON.stringify(entry))) byId("repair-note").value = "";
 });
 
 function draw() { drawLive(); drawCycles(); drawTrend(); }

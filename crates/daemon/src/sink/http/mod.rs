@@ -13,6 +13,7 @@ use std::time::Duration;
 
 use axum::Json;
 use axum::Router;
+use axum::body::Bytes;
 use axum::extract::{Path, Query, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::middleware::{self, Next};
@@ -32,7 +33,7 @@ use crate::clock::{self, Clock};
 use crate::config::HttpConfig;
 use crate::failure::Failure;
 use crate::hub::SourceState;
-use crate::hub::{AxisStatus, Hub, NotTaken, Order, SinkStatus};
+use crate::hub::{AxisStatus, Hub, NewRepair, NotTaken, Order, SinkStatus};
 
 /// The dashboard's name among the sinks.
 pub const SINK: &str = "http";
@@ -124,6 +125,7 @@ fn routes(site: Arc<Site>) -> Router {
         .route("/api/v1/axes/{axis}/cycles", get(cycles))
         .route("/api/v1/axes/{axis}/acknowledge", post(acknowledge))
         .route("/api/v1/axes/{axis}/new-baseline", post(new_baseline))
+        .route("/api/v1/axes/{axis}/repairs", post(repairs))
         .route("/api/v1/events", get(events))
         .route("/api/v1/history", get(history))
         .layer(middleware::from_fn_with_state(Arc::clone(&site), admit))
@@ -281,6 +283,14 @@ async fn acknowledge(State(site): State<Arc<Site>>, Path(axis): Path<String>) ->
 
 async fn new_baseline(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
     order(&site, &axis, Order::Renew, "new_baseline")
+}
+
+/// Notes a repair; the body is the entry as JSON.
+async fn repairs(State(site): State<Arc<Site>>, Path(axis): Path<String>, body: Bytes) -> Response {
+    match NewRepair::from_json(&body) {
+        Ok(entry) => order(&site, &axis, Order::Repair(entry), "noted"),
+        Err(what) => problem(StatusCode::BAD_REQUEST, &what),
+    }
 }
 
 fn order(site: &Site, axis: &str, order: Order, answer: &str) -> Response {

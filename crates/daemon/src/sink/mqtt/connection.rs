@@ -65,8 +65,8 @@ pub(super) struct Message {
     pub(super) topic: String,
     /// Whether the broker has kept it and hands it out at each connection.
     pub(super) retained: bool,
-    /// Whether it has no content, by which a retained message is cleared.
-    pub(super) empty: bool,
+    /// What it says; nothing clears a retained message.
+    pub(super) content: Vec<u8>,
 }
 
 /// Where the broker is, and who asks.
@@ -197,7 +197,7 @@ fn open_3(link: &Link, events: mpsc::Sender<ConnectionEvent>) -> (Client, JoinHa
                 Ok(Event::Incoming(Packet::Publish(message))) => ConnectionEvent::Message(Message {
                     topic: message.topic,
                     retained: message.retain,
-                    empty: message.payload.is_empty(),
+                    content: message.payload.to_vec(),
                 }),
                 Ok(_) => continue,
                 Err(error) => ConnectionEvent::Lost(error.to_string()),
@@ -239,7 +239,7 @@ fn open_5(link: &Link, events: mpsc::Sender<ConnectionEvent>) -> (Client, JoinHa
                 Ok(Event::Incoming(Packet::Publish(message))) => ConnectionEvent::Message(Message {
                     topic: String::from_utf8_lossy(&message.topic).into_owned(),
                     retained: message.retain,
-                    empty: message.payload.is_empty(),
+                    content: message.payload.to_vec(),
                 }),
                 Ok(_) => continue,
                 Err(error) => ConnectionEvent::Lost(error.to_string()),

@@ -2,7 +2,7 @@
 //!
 //! Below the prefix: `AXIS/cycle`, `AXIS/flag`, `AXIS/notice`, `AXIS/acknowledged`, `AXIS/test` (events), `AXIS/status` (retained),
 //! `status` (`online` or `offline`, retained; the last will). A message on `AXIS/acknowledge` takes note of a latched flag, one on
-//! `AXIS/new_baseline` has a new baseline learned: the seal has been replaced. Retained messages are no orders, as they would be
+//! `AXIS/new_baseline` has a new baseline learned, one on `AXIS/repair` is an entry for the repair log, as JSON. Retained messages are no orders, as they would be
 //! given again at each connection.
 //! An event is on disk before it counts as told; it goes from there when the broker has confirmed it. One that the broker refuses
 //! is set aside, so that those behind it arrive.
@@ -24,7 +24,7 @@ use self::connection::{Connection, ConnectionEvent, Link, Message};
 use crate::config::MqttConfig;
 use crate::failure::Failure;
 use crate::hub::SourceState;
-use crate::hub::{AxisStatus, Hub, Order, Publication};
+use crate::hub::{AxisStatus, Hub, NewRepair, Order, Publication};
 use crate::journal::Warnings;
 use crate::sink::mqtt::spool::{Counts, Spool};
 use seepd_monitor::event::Flag;
@@ -344,18 +344,21 @@ impl Broker {
         let rest = message.topic.strip_prefix(&self.link.config.prefix);
         let rest = rest.and_then(|rest| rest.strip_prefix('/')).and_then(|rest| rest.rsplit_once('/'));
         let (axis, order) = match rest {
-            Some((axis, "acknowledge")) => (axis, Order::Acknowledge),
-            Some((axis, "new_baseline")) => (axis, Order::Renew),
+            Some((axis, "acknowledge")) => (axis, Ok(Order::Acknowledge)),
+            Some((axis, "new_baseline")) => (axis, Ok(Order::Renew)),
+            Some((axis, "repair")) => (axis, NewRepair::from_json(&message.content).map(Order::Repair)),
             _ => return,
         };
         let fault = if message.retained {
             "a retained message is no order, since the broker would repeat it at each connection; clear it with an empty message".into()
-        } else if message.empty {
+        } else if message.content.is_empty() {
             "an empty message is no order, since it clears a retained one".into()
-        } else if let Err(not_taken) = self.hub.order(axis, order) {
-            not_taken.to_string()
         } else {
-            return;
+            match order.map(|order| self.hub.order(axis, order)) {
+                Ok(Ok(())) => return,
+                Ok(Err(not_taken)) => not_taken.to_string(),
+                Err(what) => what,
+            }
         };
         self.warnings.warn(now(), &format!("{}: {fault}", message.topic));
     }
@@ -421,7 +424,8 @@ impl Broker {
             return;
         }
         let Some(connection) = &self.connection else { return };
-        let orders = ["acknowledge", "new_baseline"].map(|word| self.link.topic(&format!("+/{word}")));
+        let orders =
+            ["acknowledge", "new_baseline", "repair"].map(|word| self.link.topic(&format!("+/{word}")));
         match connection.subscribe(orders) {
             Ok(()) => self.listens = true,
             Err(error) => self.lose(&error),
