@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize, Serializer};
 use crate::baseline::trend::TimeTo;
 use crate::baseline::{CusumFinding, LoadKnowledge};
 use crate::cause::LISTED_FROM;
+use crate::cause::course::Condition;
 use crate::energy::Loss;
 use crate::pipeline::observer::Observation;
 use crate::repair::Repaired;
@@ -175,6 +176,8 @@ pub struct CauseLine<'a> {
     pub distinguish: Vec<&'static str>,
     /// Number of the cycle in which the change was first seen; null where nothing has changed.
     pub onset_cycle: Option<u64>,
+    /// Causes beside the seal that have been found over cycles, the surest first.
+    pub conditions: &'a [Condition],
 }
 
 /// Candidates as they are written, without improbable ones.
@@ -356,6 +359,8 @@ pub enum NoticeKind {
     ConditionFound,
     /// It has not any more.
     ConditionGone,
+    /// It grows, or has the size from which it matters.
+    ConditionGrown,
     /// An entry of the repair log has been heeded.
     RepairNoted,
     /// The cycles since bear it out, or show nothing of it.
@@ -420,6 +425,9 @@ pub struct Summary {
     /// What has changed beside the seal since the baseline, in words; absent where nothing has.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub condition: Option<String>,
+    /// Causes beside the seal that have been found over cycles, the surest first; absent where none has.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub conditions: Vec<Condition>,
     /// Entries of the repair log that fell into the record; absent where none did.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub repairs: Vec<Repaired>,

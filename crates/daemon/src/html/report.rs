@@ -3,6 +3,8 @@
 use maud::{Markup, html};
 use seepd_monitor::alarm::AlarmConfig;
 use seepd_monitor::baseline::Baseline;
+use seepd_monitor::cause::condition::{growth_sentence, words_of};
+use seepd_monitor::cause::course::Severity;
 use seepd_monitor::event::{Flag, Summary};
 use seepd_monitor::reason::{NO_PLANT_MODEL, UNCONFIRMED};
 use seepd_monitor::repair::{FIRST_DATE_NS, RepairVerdict};
@@ -61,6 +63,7 @@ impl ReportPage<'_> {
             }
             @if let Some(why) = &self.record.why { (why_table(why)) }
             @if self.baselines.iter().any(|(_, record)| !record.is_empty()) { (self.baseline_record()) }
+            @if !self.summary.conditions.is_empty() { (self.conditions()) }
             @if !self.summary.repairs.is_empty() { (self.repair_log()) }
             h2 { "The flags" }
             (self.flags())
@@ -282,6 +285,29 @@ impl ReportPage<'_> {
                     td.number { (mm2(baseline.residual_deviation_m2)) }
                     td { (mm2(baseline.absolute_leak_area_m2)) " (" (mm2_interval(baseline.absolute_interval90_m2)) ")" }
                     td { (baseline.remarks.join("; ")) }
+                } } }
+            } }
+        }
+    }
+
+    fn conditions(&self) -> Markup {
+        let range = |[from_ns, to_ns]: [i64; 2]| format!("{} … {}", time_text(from_ns), time_text(to_ns));
+        html! {
+            h2 { "Beside the seal" }
+            p.soft { "What has changed since the baseline beside the seal, as cycles have found it. Leaks are sized beside it." }
+            div.scroll { table {
+                thead { tr { th { "What" } th { "size" } th { "90 % interval" } th.number { "probability" } th.number { "since cycle" } th { "since about" }
+                    th { "between" } th { "came" } th { "matters" } } }
+                tbody { @for one in &self.summary.conditions { tr {
+                    td { (words_of(one.kind.cause, one.kind.side)) }
+                    td { (one.told_size()) }
+                    td { (one.told(one.interval90[0])) " … " (one.told(one.interval90[1])) }
+                    td.number { (format!("{:.2}", one.probability)) }
+                    td.number { @if let Some(cycle) = one.onset_cycle { (cycle) } }
+                    td { (time_text(one.onset_ns)) }
+                    td { (range(one.onset_range_ns)) }
+                    td { @if let Some(words) = growth_sentence(one) { (words) } @else { "at once" } }
+                    td { @if one.severity == Severity::Matters { "yes" } @else { "from " (one.told(one.matters_from)) " on" } }
                 } } }
             } }
         }

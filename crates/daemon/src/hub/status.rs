@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use seepd_monitor::baseline::CusumFinding;
+use seepd_monitor::cause::course::Condition;
 use seepd_monitor::energy::Loss;
 use seepd_monitor::event::Flag;
 use seepd_monitor::pipeline::Monitor;
@@ -69,6 +70,8 @@ pub struct AxisStatus {
     pub finding: CusumFinding,
     /// What has changed beside the seal since the baseline, in words, with what to do; null where nothing has.
     pub condition: Option<String>,
+    /// Causes beside the seal that have been found over cycles, the surest first.
+    pub conditions: Vec<Condition>,
     /// The last entries of the repair log that were heeded, the newest last.
     pub repairs: Vec<Repaired>,
     /// What has changed since the baseline, on an axis without a model; absent elsewhere.
@@ -117,6 +120,7 @@ impl AxisStatus {
             duty_cycles: Vec::new(),
             finding: CusumFinding::None,
             condition: None,
+            conditions: Vec::new(),
             repairs: Vec::new(),
             relative: None,
             cycle: None,

@@ -440,6 +440,7 @@ impl<'a> AxisReporter<'a> {
                 cusum: monitor.cusum(),
                 renewing: record.is_renewing(),
                 aftercare: monitor.aftercare().to_vec(),
+                courses: monitor.courses(),
             };
             (monitor.name().unwrap_or_default().to_owned(), state)
         };
@@ -530,6 +531,7 @@ impl<'a> AxisReporter<'a> {
                 duty_cycles,
                 finding,
                 condition: pipeline.condition().map(str::to_owned),
+                conditions: pipeline.conditions().copied().collect(),
                 repairs: pipeline.repairs().iter().rev().take(REPAIRS_TOLD).rev().cloned().collect(),
                 relative,
                 cycle: last.map(|last| last.cycle),

@@ -82,6 +82,7 @@ impl BaselineRecord {
                 monitor.follow(baseline.clone());
                 state.cusum.into_iter().for_each(|cusum| monitor.restore_cusum(cusum));
                 monitor.restore_aftercare(state.aftercare);
+                monitor.restore_courses(&state.courses);
             }
             None if self.learn_cycles > 0 => {
                 let begun = monitor.learn("commissioning", self.learn_cycles);

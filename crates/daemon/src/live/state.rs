@@ -12,6 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use seepd_monitor::alarm::{AlarmState, Latch};
 use seepd_monitor::baseline::Cusum;
+use seepd_monitor::cause::course::CourseState;
 use seepd_monitor::relative::charts::Sums;
 use seepd_monitor::repair::{Aftercare, Repaired};
 use seepd_settings::side_file;
@@ -74,6 +75,9 @@ pub struct DutyCycleState {
     /// Entries of the repair log that have no verdict yet.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub aftercare: Vec<Aftercare>,
+    /// Causes beside the seal that have been found.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub courses: Vec<CourseState>,
 }
 
 impl AxisState {

@@ -167,6 +167,9 @@ pub fn write_summary(
     if let Some(condition) = &summary.condition {
         writeln!(out, "beside it: {condition}")?;
     }
+    for condition in &summary.conditions {
+        writeln!(out, "  {}", condition.line())?;
+    }
     for done in summary.repairs.iter().filter(|done| done.verdict == Some(RepairVerdict::Contradicted)) {
         writeln!(out, "repair: {}", done.text.as_deref().unwrap_or_default())?;
     }

@@ -35,6 +35,46 @@ struct Line {
     residual_m2: f64,
 }
 
+/// A straight line through what was taken, with its uncertainty.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Slope {
+    /// Value of the line at the last point.
+    pub level: f64,
+    /// Slope, and its interval of 90 %, 1/s.
+    pub per_s: [f64; 3],
+    /// Time of the first point, s.
+    pub from_s: f64,
+    /// Time of the last point, s.
+    pub to_s: f64,
+}
+
+impl Slope {
+    /// Time since the line was at 0, s: best guess, longest, shortest. For ever where it does not come from there.
+    pub fn times_since_nothing(&self) -> [f64; 3] {
+        let since = |per_s: f64| {
+            let since_s = self.level / per_s;
+            if since_s >= 0.0 { since_s } else { f64::INFINITY }
+        };
+        let [best, a, b] = self.per_s.map(since);
+        [best, a.max(b), a.min(b)]
+    }
+
+    /// When it will have a value, from a time on, s, where the level is known to within `open`; `None` where it does not go there.
+    pub fn time_to(&self, value: f64, open: f64, now_s: f64) -> Option<TimeTo> {
+        let rest = value - self.level;
+        if !self.per_s.iter().all(|per_s| rest / per_s > 0.0) {
+            return None;
+        }
+        let [expected, a, b] = self.per_s.map(f64::abs);
+        let after = |rest: f64, per_s: f64| (rest / per_s - (now_s - self.to_s)).max(0.0);
+        Some(TimeTo {
+            expected_s: after(rest.abs(), expected),
+            earliest_s: after(rest.abs() - open, a.max(b)),
+            latest_s: after(rest.abs() + open, a.min(b)),
+        })
+    }
+}
+
 /// How a leak grows: evenly or ever faster. The one that fits better gives the date, both together its uncertainty.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Growth {
@@ -92,6 +132,13 @@ impl Trend {
         self.blocks.clear();
         self.blocks.extend(joined);
         self.size *= 2;
+    }
+
+    /// The straight line; `None` where too little is known.
+    pub fn slope(&self) -> Option<Slope> {
+        let line = self.fit(false)?;
+        let (first, last) = (self.blocks.first()?, self.blocks.last()?);
+        Some(Slope { level: line.level, per_s: line.slope, from_s: first.time_s, to_s: last.time_s })
     }
 
     /// How the leak grows; `None` where it does not for certain, or too little is known.
@@ -200,6 +247,22 @@ mod tests {
         let time = growth.time_to(1e-6);
         assert!((2200.0..4500.0).contains(&time.expected_s), "{time:?}");
         assert_eq!(growth.time_to(1e-8).expected_s, 0.0);
+    }
+
+    #[test]
+    fn analytic_a_line_tells_when_it_was_nothing_and_when_it_will_have_a_value() {
+        // −2 a second, through 0 at 100 s; the last point is at 1,000 s.
+        let mut falling = Trend::default();
+        (10..=1000).step_by(30).for_each(|time_s| {
+            falling.take(f64::from(time_s), -2.0 * (f64::from(time_s) - 100.0));
+        });
+        let slope = falling.slope().unwrap();
+        assert_eq!((slope.per_s, slope.to_s, slope.level), ([-2.0; 3], 1000.0, -1800.0));
+        assert_eq!(slope.times_since_nothing(), [900.0; 3]);
+        // 200 to go, known to within 20, from 10 s after the last point on.
+        let time = slope.time_to(-2000.0, 20.0, 1010.0).unwrap();
+        assert_eq!(time, TimeTo { expected_s: 90.0, earliest_s: 80.0, latest_s: 100.0 });
+        assert_eq!(slope.time_to(0.0, 0.0, 1000.0), None);
     }
 
     #[test]

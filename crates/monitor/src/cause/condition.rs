@@ -2,6 +2,8 @@
 
 use seepd_model::causes::{Candidate, Cause, Explanation, Side, SizeUnit, Verdict};
 
+use super::course::Condition;
+use crate::baseline::trend::TimeTo;
 use crate::repair::RepairKind;
 
 /// L/min in a m³/s.
@@ -92,6 +94,32 @@ pub fn sentence(explanation: &Explanation) -> Option<String> {
         }
         Verdict::Unknown => Some("something has changed that is none of the known causes.".to_owned()),
     }
+}
+
+/// How a cause grows and when it will matter, in a sentence; `None` of one that came at once.
+pub fn growth_sentence(condition: &Condition) -> Option<String> {
+    let rate = condition.told(condition.rate_per_day?);
+    Some(match condition.time_to_matter {
+        Some(TimeTo { expected_s, earliest_s, latest_s }) => format!(
+            "It changes by {rate} a day, and matters, at {}, in about {} ({} … {}).",
+            condition.told(condition.matters_from.copysign(condition.size)),
+            span(expected_s),
+            span(earliest_s),
+            span(latest_s)
+        ),
+        None => format!("It changes by {rate} a day."),
+    })
+}
+
+/// A time as people say it.
+fn span(time_s: f64) -> String {
+    let (unit, length_s) = match time_s {
+        s if s >= 2.0 * 86_400.0 => ("days", 86_400.0),
+        s if s >= 2.0 * 3600.0 => ("hours", 3600.0),
+        s if s >= 120.0 => ("minutes", 60.0),
+        _ => ("seconds", 1.0),
+    };
+    format!("{:.0} {unit}", time_s / length_s)
 }
 
 /// A cause that a repair has brought, in a sentence: as was to be expected, so that there is nothing to do about it.

@@ -4,6 +4,7 @@
 //! a drift.
 
 pub mod condition;
+pub mod course;
 mod tracker;
 
 use seepd_model::causes::{Cause, Explanation, Kind, SizeUnit, Verdict};

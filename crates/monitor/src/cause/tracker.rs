@@ -40,6 +40,8 @@ pub struct Explained {
     pub agreeing: u64,
     /// Cycles in a row in which something has changed.
     pub changed: u64,
+    /// Cycles whose mean was explained.
+    pub mean_of: u64,
 }
 
 impl Tracker {
@@ -73,7 +75,8 @@ impl Tracker {
         self.agreeing = if explanation.verdict == self.verdict { self.agreeing + 1 } else { 1 };
         self.verdict = explanation.verdict;
         self.changed = if explanation.verdict == Verdict::Nothing { 0 } else { self.changed + 1 };
-        Some(Explained { explanation, agreeing: self.agreeing, changed: self.changed })
+        let mean_of = self.cycles.min(MOST_CYCLES);
+        Some(Explained { explanation, agreeing: self.agreeing, changed: self.changed, mean_of })
     }
 
     fn gather(&mut self, causes: &Causes, numbers: &[f64; MAX_NUMBERS], noise: f64) {

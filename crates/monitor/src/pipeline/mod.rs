@@ -20,6 +20,7 @@ use seepd_signals::Sample;
 
 use crate::alarm::{Alarm, AlarmConfig};
 use crate::baseline::{BaselineError, CusumFinding};
+use crate::cause::course::Condition;
 use crate::energy::Loss;
 use crate::event::{Event, LPM_PER_M3_PER_S, Summary};
 use crate::reason::{NO_CYCLE_FOUND, NO_PLANT_MODEL, STALE, TOO_FEW_ESTIMATES};
@@ -198,6 +199,11 @@ impl Pipeline {
         self.progress.condition.as_deref()
     }
 
+    /// Causes beside the seal that have been found over cycles, by duty cycle and the surest first.
+    pub fn conditions(&self) -> impl Iterator<Item = &Condition> {
+        self.monitors.iter().flat_map(Monitor::conditions)
+    }
+
     /// The alarm.
     pub fn alarm(&self) -> &Alarm {
         &self.progress.alarm
@@ -292,6 +298,7 @@ impl Pipeline {
             leak_area_m2: area,
             leak_flow_lpm: area.map(|area| self.config.flow_lpm(area)),
             condition: progress.condition.clone(),
+            conditions: self.conditions().cloned().collect(),
             repairs: progress.repairs.clone(),
             size_withheld,
             observed: size_withheld.map(|_| self.observation()),

@@ -11,6 +11,7 @@ use crate::baseline::comparator::ComparedCycle;
 use crate::baseline::{
     Baseline, BaselineComparator, BaselineError, Cusum, CusumFinding, Learner, LoadKnowledge, relative_of,
 };
+use crate::cause::course::{Condition, CourseState, Courses};
 use crate::repair::{Aftercare, Repair, RepairKind};
 
 /// A duty cycle of the axis.
@@ -104,6 +105,9 @@ pub(super) struct CycleEstimator {
     pub(super) aftercare: Vec<Aftercare>,
     /// What the last cycle was explained by.
     pub(super) explained: Option<Explanation>,
+    /// Each cause over cycles, and what of these has been found.
+    pub(super) courses: Courses,
+    pub(super) conditions: Vec<Condition>,
 }
 
 /// What was announced last.
@@ -162,6 +166,8 @@ impl Monitor {
                 cycles: 0,
                 aftercare: Vec::new(),
                 explained: None,
+                courses: Courses::default(),
+                conditions: Vec::new(),
             },
         })
     }
@@ -232,6 +238,22 @@ impl Monitor {
             comparator.restore(cusum);
             self.estimator.announced.finding = cusum.finding();
         }
+    }
+
+    /// Causes beside the seal that have been found, the surest first.
+    pub fn conditions(&self) -> &[Condition] {
+        &self.estimator.conditions
+    }
+
+    /// What outlives the program of them.
+    pub fn courses(&self) -> Vec<CourseState> {
+        self.estimator.courses.state()
+    }
+
+    /// Takes them up where an earlier run left them.
+    pub fn restore_courses(&mut self, courses: &[CourseState]) {
+        self.estimator.courses.restore(courses);
+        self.estimator.conditions = self.estimator.courses.found();
     }
 
     /// Entries of the repair log that have no verdict yet.
@@ -320,6 +342,7 @@ impl CycleEstimator {
             }
             Commissioning::Learning(_) | Commissioning::Absent => {}
         }
+        self.courses.forget(|cause| repair.what.is_about(cause));
         if repair.what != RepairKind::Other {
             self.aftercare.push(Aftercare::begin(repair, leak_before_m2, self.explained.as_ref()));
         }
@@ -339,6 +362,7 @@ impl CycleEstimator {
     fn follow(&mut self, baseline: Baseline) {
         self.commissioning = Commissioning::Comparing(Box::new(BaselineComparator::new(baseline)));
         self.announced = Announced::default();
+        (self.courses, self.conditions) = (Courses::default(), Vec::new());
     }
 
     /// Takes a cycle on the way to a baseline; the baseline in words, or why there is none, once there are enough.

@@ -6,13 +6,14 @@ use seepd_features::{Outcome, RejectedCycle, ValidCycle};
 use seepd_model::OutOfDistribution;
 
 use super::MonitorConfig;
-use seepd_model::causes::{Cause, Verdict};
+use seepd_model::causes::{Cause, Explanation, Kind, Verdict};
 
 use super::monitor::{Absolute, CycleEstimator};
 use super::repairs::of_two_machines;
 use crate::alarm::{Alarm, Change};
 use crate::baseline::comparator::ComparedCycle;
 use crate::baseline::{CusumFinding, LoadKnowledge};
+use crate::cause::course::{AtCycle, Condition, Severity};
 use crate::cause::{Explained, TOLD_AFTER, condition, name_of};
 use crate::event::{
     AbsoluteLine, Candidates, CauseLine, ComparisonLine, CycleLine, Event, FeatureValues, Flag, FlagEvent,
@@ -184,6 +185,10 @@ impl Progress {
                 found_elsewhere || compared.is_some_and(|compared| compared.finding == CusumFinding::Leak);
             self.alarm.estimated_with(&config.alarm, flow_lpm, found)
         };
+        if let Some(explained) = compared.as_ref().and_then(|compared| compared.explained.as_ref()) {
+            estimator.courses.take(explained, AtCycle { number: self.cycle, end_ns: valid.end_ns });
+            estimator.conditions = estimator.courses.found();
+        }
         let names = estimator.model.feature_names();
         let is_known = reason.is_none();
         let line = CycleLine {
@@ -195,7 +200,7 @@ impl Progress {
             reason,
             absolute: Some(absolute_line(&absolute, names)),
             comparison: compared.as_ref().map(|compared| comparison_line(config, estimator, compared)),
-            cause: compared.as_ref().and_then(|compared| self.cause_line(compared)),
+            cause: compared.as_ref().and_then(|compared| self.cause_line(compared, &estimator.conditions)),
             features: Some(FeatureValues { names, values: valid.features }),
             ..self.blank_line(config, valid.start_ns, valid.end_ns)
         };
@@ -205,6 +210,7 @@ impl Progress {
             if let Some(explained) = &compared.explained {
                 self.tell_condition(config, estimator, valid.end_ns, explained, sink);
             }
+            self.tell_growth(config, estimator, valid.end_ns, sink);
         }
         self.tell_out_of_distribution(config, estimator, valid.end_ns, (out_of_distribution, reason), sink);
         if is_known {
@@ -220,7 +226,11 @@ impl Progress {
         change
     }
 
-    fn cause_line<'l>(&self, compared: &'l ComparedCycle) -> Option<CauseLine<'l>> {
+    fn cause_line<'l>(
+        &self,
+        compared: &'l ComparedCycle,
+        conditions: &'l [Condition],
+    ) -> Option<CauseLine<'l>> {
         let Explained { explanation, changed, .. } = compared.explained.as_ref()?;
         let also = match explanation.verdict {
             Verdict::Named(_, also) => also,
@@ -233,6 +243,7 @@ impl Progress {
             cause_candidates: Candidates(explanation.candidates()),
             distinguish: condition::distinguish(explanation),
             onset_cycle: (*changed > 0).then(|| (self.cycle + 1).saturating_sub(*changed)),
+            conditions,
         })
     }
 
@@ -281,7 +292,7 @@ impl Progress {
         explained: &Explained,
         sink: &mut impl FnMut(&Event<'_>),
     ) {
-        if explained.agreeing < TOLD_AFTER {
+        if explained.agreeing < TOLD_AFTER || !estimator.courses.bear_out(&explained.explanation) {
             return;
         }
         let explanation = &explained.explanation;
@@ -293,7 +304,14 @@ impl Progress {
             estimator.announced.brought_by = estimator.repair_behind(explanation);
         }
         let after = |what| condition::sentence_after(explanation, what);
-        let sentence = estimator.announced.brought_by.and_then(after).or(sentence);
+        let mut sentence = estimator.announced.brought_by.and_then(after).or(sentence);
+        if let (Some(sentence), Some(kind)) = (&mut sentence, named_beside(explanation))
+            && let Some(growth) =
+                estimator.conditions.iter().find(|one| one.kind == kind).and_then(condition::growth_sentence)
+        {
+            sentence.push(' ');
+            sentence.push_str(&growth);
+        }
         self.condition.clone_from(&sentence);
         estimator.announced.condition = verdict;
         if !is_news {
@@ -312,6 +330,28 @@ impl Progress {
             ),
         };
         self.tell(config, estimator.name.as_deref(), news, at_ns, sink);
+    }
+
+    /// Tells, once each, that a condition grows, and that it has the size from which it matters.
+    fn tell_growth(
+        &self,
+        config: &MonitorConfig,
+        estimator: &mut CycleEstimator,
+        at_ns: i64,
+        sink: &mut impl FnMut(&Event<'_>),
+    ) {
+        while let Some(condition) = estimator.courses.news(&estimator.conditions) {
+            let words = condition::words_of(condition.kind.cause, condition.kind.side);
+            let growth = condition::growth_sentence(&condition).unwrap_or_default();
+            let text = match condition.severity {
+                Severity::Matters => {
+                    format!("{words}: it has a size that matters, {}. {growth}", condition.told_size())
+                }
+                Severity::Slight => format!("{words}: it grows, {} now. {growth}", condition.told_size()),
+            };
+            let text = text.trim_end().trim_end_matches('.').to_owned();
+            self.tell(config, estimator.name.as_deref(), (NoticeKind::ConditionGrown, text), at_ns, sink);
+        }
     }
 
     /// Tells that several cycles in a row are unlike the baseline, or unlike training where there is none.
@@ -404,6 +444,12 @@ impl Progress {
         recent.sort_by(f64::total_cmp);
         recent.get(count / 2).copied()
     }
+}
+
+/// The kind beside the seal that is named.
+fn named_beside(explanation: &Explanation) -> Option<Kind> {
+    let Verdict::Named(first, second) = explanation.verdict else { return None };
+    explanation.candidate(second.unwrap_or(first)).map(|candidate| candidate.kind)
 }
 
 pub(super) fn span_of(outcome: &Outcome<'_>) -> (i64, i64) {

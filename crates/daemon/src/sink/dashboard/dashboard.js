@@ -105,7 +105,7 @@ function showCondition(axis) {
   byId("condition").style.setProperty("--state", "var(--" + axis.flag + ")");
   byId("flag").textContent = FLAGS[axis.flag];
   byId("reason").textContent = axis.reason ? told(axis.reason) : axis.cycles + " cycles with an estimate";
-  byId("beside").textContent = axis.condition ? "Beside the seal: " + axis.condition : "";
+  byId("beside").textContent = axis.condition ? "Beside the seal: " + axis.condition + axis.conditions.map(sinceText).join("") : "";
   byId("advice").textContent = axis.advice || "";
   const known = axis.flag !== "no_estimate";
   byId("flow").textContent = known ? number(axis.leak_flow_lpm) : "–";
@@ -121,6 +121,10 @@ function showCondition(axis) {
   byId("acknowledge").hidden = !latched;
   showBaseline(axis);
 }
+
+// When a condition began; growth and what to do are in its sentence.
+const sinceText = (one) => " " + one.cause.replaceAll("_", " ") + (one.manner === "drift" ? " growing" : "") + " since about " + moment(one.onset_ns)
+  + " (" + moment(one.onset_range_ns[0]) + " … " + moment(one.onset_range_ns[1]) + ")" + (one.severity === "slight" ? ", slight so far." : ", large enough to matter.");
 
 const FINDINGS = { none: "no change", leak: "more leakage than then", improved: "less leakage than then; learn a new baseline" };
 
