@@ -168,6 +168,14 @@ pub enum CanValue {
     LowM2,
     /// Upper end, m².
     HighM2,
+    /// 1 where something has changed beside the seal.
+    HasCondition,
+    /// What has: 0 nothing, 1 … 12 a cause, 15 what has no name (yet).
+    Condition,
+    /// 0 nothing beside the seal, 1 slight, 2 of a size that matters.
+    ConditionSeverity,
+    /// Size of that cause over the size from which it matters.
+    ConditionShare,
     /// Number of the last cycle.
     Cycle,
     /// Raised by one from frame to frame.
@@ -220,7 +228,7 @@ pub struct CanOutConfig {
 }
 
 impl Default for CanOutConfig {
-    /// Flag, latch, staleness, counter, flow in mL/min and the interval's ends in 1e-9 m².
+    /// Flag, latch, staleness, whether there is a condition beside the seal, counter, flow in mL/min and the interval's ends in 1e-9 m².
     fn default() -> Self {
         let field = |value, start, length, scale| CanOutField {
             value,
@@ -241,6 +249,7 @@ impl Default for CanOutConfig {
                 field(CanValue::Flag, 0, 3, 1.0),
                 field(CanValue::Latched, 3, 3, 1.0),
                 field(CanValue::Stale, 6, 1, 1.0),
+                field(CanValue::HasCondition, 7, 1, 1.0),
                 field(CanValue::Counter, 8, 8, 1.0),
                 field(CanValue::LeakFlowLpm, 16, 16, 1e-3),
                 field(CanValue::LowM2, 32, 16, 1e-9),

@@ -18,6 +18,8 @@ use crate::clock;
 pub use order::{NewRepair, NotTaken, Order};
 use publication::{Acknowledged, Envelope, Subscriber, TestAlarm};
 pub use publication::{Kind, Publication, Subscription};
+#[cfg(test)]
+pub(crate) use status::condition_for_tests;
 pub use status::{
     AxisStatus, AxisView, BaselineStatus, Course, DutyCycleStatus, LIVE_POINTS, REPAIRS_TOLD, RelativeStatus,
     SinkStatus, SourceHealth, SourceState, TrendPoint,

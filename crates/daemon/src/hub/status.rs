@@ -134,6 +134,34 @@ impl AxisStatus {
     }
 }
 
+/// Oil lost on the rod side, growing.
+#[cfg(test)]
+pub(crate) fn condition_for_tests() -> Condition {
+    use seepd_model::causes::{Cause, Kind, Side, SizeUnit};
+    use seepd_monitor::baseline::trend::TimeTo;
+    use seepd_monitor::cause::course::{Manner, Severity, matters_from};
+
+    let kind = Kind { cause: Cause::ExternalLeak, side: Some(Side::Rod), unit: SizeUnit::Conductance };
+    let onset_ns = 1_750_000_000_000_000_000;
+    Condition {
+        kind,
+        probability: 0.9,
+        size: 1e-12,
+        interval90: [0.9e-12, 1.1e-12],
+        sum: 12.0,
+        onset_cycle: Some(7),
+        onset_cycles: Some([5, 9]),
+        onset_ns,
+        onset_range_ns: [onset_ns; 2],
+        manner: Manner::Drift,
+        rate_per_day: Some(2e-13),
+        rate90_per_day: Some([1e-13, 3e-13]),
+        severity: Severity::Slight,
+        matters_from: matters_from(kind),
+        time_to_matter: Some(TimeTo { expected_s: 3600.0, earliest_s: 1800.0, latest_s: 7200.0 }),
+    }
+}
+
 /// One of an axis's several duty cycles.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DutyCycleStatus {

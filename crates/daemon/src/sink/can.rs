@@ -10,6 +10,8 @@ use nix::sys::socket::{MsgFlags, send};
 use seepd_logs::can::bit_field::BitField;
 use seepd_logs::can::{Content, Frame, Identifier, linux};
 use seepd_logs::identifier;
+use seepd_model::causes::Cause;
+use seepd_monitor::cause::course::Severity;
 use seepd_monitor::event::Flag;
 use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
 use tokio::sync::watch;
@@ -74,8 +76,35 @@ fn number(value: CanValue, status: &AxisStatus, counter: u64) -> Option<f64> {
         CanValue::LeakAreaM2 => status.leak_area_m2.filter(|_| known),
         CanValue::LowM2 => status.interval90_m2.filter(|_| known).map(|interval| interval[0]),
         CanValue::HighM2 => status.interval90_m2.filter(|_| known).map(|interval| interval[1]),
+        CanValue::HasCondition => Some(f64::from(u8::from(condition_code(status) > 0))),
+        CanValue::Condition => Some(f64::from(condition_code(status))),
+        CanValue::ConditionSeverity => Some(severity_code(status)),
+        CanValue::ConditionShare => status.conditions.first().map(|one| (one.size / one.matters_from).abs()),
         CanValue::Cycle => status.cycle.map(|cycle| cycle as f64),
         CanValue::Counter => Some(counter as f64),
+    }
+}
+
+/// Code of what has changed, but cannot be named (yet).
+const WITHOUT_NAME: u8 = 15;
+
+/// Code of the cause beside the seal that is surest.
+fn condition_code(status: &AxisStatus) -> u8 {
+    let of_cause = |cause: Cause| Cause::ALL.iter().position(|known| *known == cause);
+    match status.conditions.first() {
+        Some(first) => of_cause(first.kind.cause).and_then(|code| u8::try_from(code).ok()),
+        None => Some(if status.condition.is_some() { WITHOUT_NAME } else { 0 }),
+    }
+    .unwrap_or(WITHOUT_NAME)
+}
+
+/// How much what has changed matters; what has no name may.
+fn severity_code(status: &AxisStatus) -> f64 {
+    let matters = status.conditions.iter().any(|one| one.severity == Severity::Matters);
+    match condition_code(status) {
+        0 => 0.0,
+        _ if matters => 2.0,
+        _ => 1.0,
     }
 }
 
@@ -116,7 +145,8 @@ pub async fn run(
             _ = changes.changed() => false,
         };
         let Some(status) = hub.axis(&axis) else { continue };
-        let news = (status.cycle, status.flag, status.latched, status.stale);
+        let condition = (condition_code(&status), severity_code(&status) > 1.0);
+        let news = (status.cycle, status.flag, status.latched, status.stale, condition);
         if !due && told == Some(news) {
             continue;
         }
@@ -198,6 +228,9 @@ pub fn write(port: &OwnedFd, frame: &Frame) -> io::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::CanOutField;
+    use crate::hub::condition_for_tests;
+    use seepd_logs::can::bit_field::{ByteOrder, Encoding};
 
     #[test]
     fn the_default_frame_tells_flag_flow_and_interval() {
@@ -212,5 +245,36 @@ mod tests {
         status.interval90_m2 = Some([1e-7, 1e-3]);
         let frame = layout.frame(&status, 3);
         assert_eq!(frame.data(), [0b0110_0011, 3, 0x58, 0x02, 100, 0, 0xff, 0xff]);
+        // The bit that was free; all others are as they were.
+        status.condition = Some("valve: null shifted, perhaps".into());
+        assert_eq!(layout.frame(&status, 3).data(), [0b1110_0011, 3, 0x58, 0x02, 100, 0, 0xff, 0xff]);
+    }
+
+    #[test]
+    fn a_frame_of_conditions_has_their_code_severity_and_share() {
+        let field = |value, start, length, scale| CanOutField {
+            value,
+            start,
+            length,
+            order: ByteOrder::LittleEndian,
+            encoding: Encoding::Unsigned,
+            scale,
+        };
+        let fields = vec![
+            field(CanValue::Condition, 0, 4, 1.0),
+            field(CanValue::ConditionSeverity, 4, 2, 1.0),
+            field(CanValue::ConditionShare, 8, 16, 0.01),
+        ];
+        let layout = Layout::new(&CanOutConfig { length: 3, fields, ..CanOutConfig::default() }).unwrap();
+        let mut status = AxisStatus::new("press", 7e6);
+        assert_eq!(layout.frame(&status, 0).data(), [0, 0xff, 0xff]);
+        status.conditions = vec![condition_for_tests()];
+        // 1e-12 of 2.08e-12 m³/(s Pa): 0.48.
+        assert_eq!(layout.frame(&status, 0).data(), [3 | 1 << 4, 48, 0]);
+        status.conditions[0].severity = Severity::Matters;
+        assert_eq!(layout.frame(&status, 0).data()[0], 3 | 2 << 4);
+        status.conditions.clear();
+        status.condition = Some("something has changed".into());
+        assert_eq!(layout.frame(&status, 0).data()[0], 15 | 1 << 4);
     }
 }

@@ -150,7 +150,7 @@ pub mod schema {
     /// `/axis/truth`.
     pub const TRUTH: &str = r#"{"title":"seepd.Truth","type":"object","properties":{"leak_area":{"type":"number"},"leak_flow":{"type":"number"}}}"#;
     /// `/axis/leakage`.
-    pub const CYCLE: &str = r#"{"title":"seepd.cycle/1","type":"object","properties":{"schema":{"const":"seepd.cycle/1"},"axis":{"type":"string"},"cycle":{"type":"integer"},"t_start_s":{"type":"number"},"t_end_s":{"type":"number"},"t_start_ns":{"type":"integer"},"leak_area_m2":{"type":["number","null"]},"leak_flow_lpm":{"type":["number","null"]},"reference_dp_pa":{"type":"number"},"flag":{"type":"string"},"reason":{"type":["string","null"]}}}"#;
+    pub const CYCLE: &str = r#"{"title":"seepd.cycle/1","type":"object","properties":{"schema":{"const":"seepd.cycle/1"},"axis":{"type":"string"},"cycle":{"type":"integer"},"t_start_s":{"type":"number"},"t_end_s":{"type":"number"},"t_start_ns":{"type":"integer"},"leak_area_m2":{"type":["number","null"]},"leak_flow_lpm":{"type":["number","null"]},"reference_dp_pa":{"type":"number"},"flag":{"type":"string"},"reason":{"type":["string","null"]},"cause":{"type":"string"},"cause_probability":{"type":"number"},"cause_also":{"type":["string","null"]},"cause_candidates":{"type":"array","items":{"type":"object"}},"distinguish":{"type":"array","items":{"type":"string"}},"onset_cycle":{"type":["integer","null"]},"conditions":{"type":"array","items":{"type":"object"}}}}"#;
     /// `/axis/notices`.
     pub const NOTICE: &str = r#"{"title":"seepd.notice/1","type":"object","properties":{"schema":{"const":"seepd.notice/1"},"axis":{"type":"string"},"notice":{"type":"string"},"text":{"type":"string"},"cycle":{"type":"integer"},"t_s":{"type":"number"}}}"#;
     /// `/axis/flags`.

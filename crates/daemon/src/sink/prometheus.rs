@@ -8,8 +8,10 @@ use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
+use seepd_model::causes::{Cause, Side};
 use seepd_monitor::baseline::CusumFinding;
 use seepd_monitor::event::Flag;
+use seepd_monitor::repair::{FIRST_DATE_NS, RepairVerdict};
 
 use crate::hub::{AxisStatus, SinkStatus};
 
@@ -29,6 +31,7 @@ pub fn text(axes: &[AxisStatus], sinks: &[SinkStatus]) -> Result<String, fmt::Er
     register_leak(&mut registry, axes);
     register_flags(&mut registry, axes);
     register_baseline(&mut registry, axes);
+    register_conditions(&mut registry, axes);
     register_cycles(&mut registry, axes);
     register_source(&mut registry, axes);
     register_sinks(&mut registry, sinks);
@@ -130,6 +133,57 @@ fn register_baseline(registry: &mut Registry, axes: &[AxisStatus]) {
     gauges(registry, "time_to_leak_earliest_s", "Earliest time until the flag leak", earliest);
     let latest = with(|axis| axis.time_to_leak_range_s.map(|range| range[1]));
     gauges(registry, "time_to_leak_latest_s", "Latest time until the flag leak", latest);
+}
+
+/// What has changed beside the seal. Causes are those of a fixed list, so that a series does not come and go with what is found.
+fn register_conditions(registry: &mut Registry, axes: &[AxisStatus]) {
+    let [present, probability, size, onset, rate, matters] = [0; 6].map(|_| Gauges::default());
+    let compares = |axis: &&AxisStatus| axis.baseline.learned_cycles.is_some() && axis.relative.is_none();
+    for axis in axes.iter().filter(compares) {
+        for cause in Cause::ALL.into_iter().filter(|cause| *cause != Cause::PistonSeal) {
+            let labels = vec![("axis", axis.axis.clone()), ("cause", cause.name().to_owned())];
+            let is_found = axis.conditions.iter().any(|one| one.kind.cause == cause);
+            present.get_or_create(&labels).set(f64::from(u8::from(is_found)));
+        }
+    }
+    for axis in axes {
+        for one in &axis.conditions {
+            let side = one.kind.side.map_or("", Side::name);
+            let labels = || {
+                let (cause, unit) = (one.kind.cause.name(), one.kind.unit.name());
+                vec![
+                    ("axis", axis.axis.clone()),
+                    ("cause", cause.to_owned()),
+                    ("side", side.to_owned()),
+                    ("unit", unit.to_owned()),
+                ]
+            };
+            let set = |family: &Gauges, value: f64| {
+                family.get_or_create(&labels()).set(value);
+            };
+            set(&probability, one.probability);
+            set(&size, one.size);
+            // Times of a clock that was never set are no dates.
+            if one.onset_ns >= FIRST_DATE_NS {
+                set(&onset, one.onset_ns as f64 / 1e9);
+            }
+            one.rate_per_day.into_iter().for_each(|per_day| set(&rate, per_day));
+            one.time_to_matter.into_iter().for_each(|time| set(&matters, time.expected_s));
+        }
+    }
+    registry.register("condition", "1 for a cause beside the seal that cycles have found", present);
+    registry.register("condition_probability", "Probability of a cause that was found", probability);
+    registry.register("condition_size", "Size of a cause that was found, in the unit of its label", size);
+    registry.register("condition_onset_s", "About when it began, s since 1970", onset);
+    registry.register("condition_rate_per_day", "How a cause that grows changes, units a day", rate);
+    registry.register("condition_time_to_matter_s", "Time until it is expected to matter", matters);
+    let is_contradicted = |axis: &AxisStatus| {
+        let last = axis.repairs.last().and_then(|done| done.verdict);
+        f64::from(u8::from(last == Some(RepairVerdict::Contradicted)))
+    };
+    let contradicted = axes.iter().filter(|axis| !axis.repairs.is_empty());
+    let contradicted = contradicted.map(|axis| (axis, is_contradicted(axis)));
+    gauges(registry, "repair_contradicted", "1 where the cycles contradict the last repair", contradicted);
 }
 
 fn register_flags(registry: &mut Registry, axes: &[AxisStatus]) {
@@ -249,6 +303,28 @@ mod tests {
             text.contains("seepd_changed{axis=\"press\"} 1") && !text.contains("seepd_finding{"),
             "{text}"
         );
+    }
+
+    #[test]
+    fn conditions_are_told_by_causes_of_a_fixed_list() {
+        let mut status = AxisStatus::new("press", 7e6);
+        assert!(!text(std::slice::from_ref(&status), &[]).unwrap().contains("seepd_condition{"));
+        status.baseline.learned_cycles = Some(50);
+        let none = text(std::slice::from_ref(&status), &[]).unwrap();
+        assert_eq!(none.matches("seepd_condition{").count(), Cause::ALL.len() - 1, "{none}");
+        assert!(!none.contains("seepd_condition_size{"), "{none}");
+        status.conditions = vec![crate::hub::condition_for_tests()];
+        let with = text(&[status], &[]).unwrap();
+        for line in [
+            "seepd_condition{axis=\"press\",cause=\"external_leak\"} 1",
+            "seepd_condition{axis=\"press\",cause=\"valve_null\"} 0",
+            "seepd_condition_size{axis=\"press\",cause=\"external_leak\",side=\"rod\",unit=\"m3/(s Pa)\"} 1e-12",
+            "seepd_condition_onset_s{axis=\"press\",cause=\"external_leak\",side=\"rod\",unit=\"m3/(s Pa)\"} 1750000000",
+            "seepd_condition_rate_per_day{axis=\"press\",cause=\"external_leak\",side=\"rod\",unit=\"m3/(s Pa)\"} 2e-13",
+            "seepd_condition_time_to_matter_s{axis=\"press\",cause=\"external_leak\",side=\"rod\",unit=\"m3/(s Pa)\"} 3600",
+        ] {
+            assert!(with.contains(line), "{line}\n{with}");
+        }
     }
 
     #[test]

@@ -64,6 +64,23 @@ pub enum Cause {
 }
 
 impl Cause {
+    /// Every cause, in the order of its codes in CAN frames: the seal is 0.
+    pub const ALL: [Cause; 13] = [
+        Cause::PistonSeal,
+        Cause::ValveNull,
+        Cause::ValveLands,
+        Cause::ExternalLeak,
+        Cause::Friction,
+        Cause::Load,
+        Cause::Spring,
+        Cause::OilViscosity,
+        Cause::Supply,
+        Cause::Controller,
+        Cause::PositionScale,
+        Cause::ValveHysteresis,
+        Cause::ValveDeadBand,
+    ];
+
     /// Its name in files and messages.
     pub const fn name(self) -> &'static str {
         match self {
@@ -94,6 +111,16 @@ pub enum Side {
     Rod,
 }
 
+impl Side {
+    /// Its name in files and messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Side::Cap => "cap",
+            Side::Rod => "rod",
+        }
+    }
+}
+
 /// What a size is measured in.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum SizeUnit {
@@ -115,6 +142,20 @@ pub enum SizeUnit {
     /// Stiffness, N/m.
     #[serde(rename = "N/m")]
     Stiffness,
+}
+
+impl SizeUnit {
+    /// Its name in files and messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            SizeUnit::Share => "1",
+            SizeUnit::Area => "m2",
+            SizeUnit::Flow => "m3/s",
+            SizeUnit::Conductance => "m3/(s Pa)",
+            SizeUnit::Force => "N",
+            SizeUnit::Stiffness => "N/m",
+        }
+    }
 }
 
 /// A cause as candidates are told apart: with its side and unit.
