@@ -210,3 +210,44 @@ fn a_baseline_that_was_learned_from_a_leak_is_told() {
     let told = evaluate(&[&later], &["--learn-cycles", "20"]);
     assert_eq!(told["learned_while_leaking"], 0);
 }
+
+/// One machine for each cause: the command works and judges; how good causes are is docs/ISOLATION_VALIDATION.md's, on machines of another simulator.
+#[test]
+fn causes_are_judged_on_simulated_machines_in_a_matrix_and_by_their_delays() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = folder.path().join("causes.html");
+    let run = |more: &[&str]| seepd([&["evaluate", "--causes", "1", "--seed", "3"], more].concat());
+    let told: Value =
+        serde_json::from_str(&stdout(&run(&["--json", "--html", page.to_str().unwrap()]))).unwrap();
+    assert_eq!((&told["schema"], &told["machines"]), (&"seepd.cause-evaluation/1".into(), &16.into()));
+    let rows = told["planted"].as_array().unwrap();
+    assert_eq!(rows.len(), 14);
+    for row in rows {
+        let named: u64 = row["named"].as_object().unwrap().values().filter_map(Value::as_u64).sum();
+        assert_eq!(Some(named), row["machines"].as_u64(), "{row}");
+        let watched = told["watched_cycles"].as_u64().unwrap();
+        assert!(row["slowest_cycles"].as_u64().is_none_or(|cycles| (1..=watched).contains(&cycles)), "{row}");
+    }
+    // Half of the causes at the least: one machine each says no more.
+    assert!(told["right_within_class"].as_f64().unwrap() > 0.5, "{told}");
+    assert_eq!(told["conditions_without_change"], 0.0, "{told}");
+    let page = fs::read_to_string(&page).unwrap();
+    assert!(page.contains("Who is taken for whom") && page.contains("<td>valve null</td>"), "{page}");
+    // The same seed gives the same bytes; a table says the same.
+    let text = stdout(&run(&[]));
+    assert!(text.starts_with("16 machines, 24 cycles after the change, seed 3\n"), "{text}");
+    assert_eq!(text.lines().filter(|line| line.starts_with("valve_")).count(), 4, "{text}");
+    for (more, code, what) in [
+        (&["press.mcap"][..], 64, "cannot be used with"),
+        (&["--plant", "/nowhere.toml"], 66, "/nowhere.toml"),
+        (
+            &["--plant", support::fixture("other_press.toml").to_str().unwrap()],
+            78,
+            "name the model's plant file",
+        ),
+    ] {
+        let output = run(more);
+        assert_eq!(output.status.code(), Some(code), "{more:?}");
+        assert!(support::stderr(&output).contains(what), "{}", support::stderr(&output));
+    }
+}

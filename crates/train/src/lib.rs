@@ -17,6 +17,7 @@ pub mod train;
 mod unknown_contact;
 mod unknown_seal;
 
+pub use causes::planted::{PlantedCause, plant_causes};
 pub use dataset::Spread;
 pub use relative::{Conditions, RelativeReport};
 pub use report::Report;

@@ -10,16 +10,28 @@ use indicatif::ProgressBar;
 use seepd_logs::{LogMapping, Selection, SignalMapping, record};
 use seepd_monitor::pipeline::Pipeline;
 use seepd_signals::Signal;
+#[cfg(feature = "train")]
+use seepd_train::{Spread, plant_causes};
 
 use super::reading::{BaselineArguments, ReadingArguments};
+#[cfg(feature = "train")]
+use super::simulate::read_plant;
 use crate::cli::Outcome;
 use crate::config::AxisConfig;
+#[cfg(feature = "train")]
+use crate::evaluation::causes;
 use crate::evaluation::record::MachineRecord;
 use crate::evaluation::{Conditions, Evaluation};
 use crate::failure::{Code, Failure};
+#[cfg(feature = "train")]
+use crate::html::cause_evaluation::CausePage;
 use crate::html::evaluation::EvaluationPage;
 use crate::output::{Outputs, OverwriteArguments};
+#[cfg(feature = "train")]
+use crate::progress::Steps;
 use crate::progress::{byte_bar, counting, warn};
+#[cfg(feature = "train")]
+use crate::sink::evaluation::cause_table;
 use crate::sink::evaluation::write_tables;
 use crate::sink::terminal::{listed, print};
 
@@ -30,11 +42,16 @@ use crate::sink::terminal::{listed, print};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  seepd evaluate press-*.mcap\n  \
                         seepd evaluate --learn-cycles 50 --html evaluation.html press-*.mcap\n  \
+                        seepd evaluate --causes 10 --html causes.html\n  \
                         seepd evaluate --truth leak_lpm --truth-unit lpm --json rig.csv")]
 pub struct EvaluateArguments {
     /// Logs: MCAP, CSV or candump
-    #[arg(required = true, value_name = "LOG")]
+    #[cfg_attr(feature = "train", arg(required_unless_present = "causes", value_name = "LOG"))]
+    #[cfg_attr(not(feature = "train"), arg(required = true, value_name = "LOG"))]
     logs: Vec<PathBuf>,
+    #[cfg(feature = "train")]
+    #[command(flatten)]
+    causes: CauseArguments,
     #[command(flatten)]
     reading: ReadingArguments,
     #[command(flatten)]
@@ -67,6 +84,21 @@ pub struct EvaluateArguments {
     overwrite: OverwriteArguments,
 }
 
+/// The arguments of a check of named causes.
+#[cfg(feature = "train")]
+#[derive(Debug, Args)]
+struct CauseArguments {
+    /// Check named causes instead, on N simulated machines of the series for each cause: no logs are read
+    #[arg(long, value_name = "N", conflicts_with = "logs", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    causes: Option<u16>,
+    /// Plant file of the model, with --causes [default: the nominal press]
+    #[arg(long, value_name = "FILE", requires = "causes")]
+    plant: Option<PathBuf>,
+    /// Seed of machines, sizes and noise, with --causes
+    #[arg(long, value_name = "S", default_value_t = 1, requires = "causes")]
+    seed: u64,
+}
+
 /// How the truth is given.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum TruthUnit {
@@ -93,6 +125,10 @@ impl TruthUnit {
 /// # Errors
 /// [`Failure`] for arguments, configuration, logs, missing truth or output.
 pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
+    #[cfg(feature = "train")]
+    if let Some(each) = arguments.causes.causes {
+        return run_causes(arguments, usize::from(each));
+    }
     if !(arguments.onset_lpm.is_finite() && arguments.onset_lpm >= 0.0) {
         return Err(Failure::new(
             Code::Usage,
@@ -159,6 +195,45 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
     };
     written.map_err(|error| Failure::writing(Path::new("standard output"), error))?;
     print(&text)?;
+    Ok(Outcome::Good)
+}
+
+/// Checks named causes on simulated machines of the series.
+#[cfg(feature = "train")]
+fn run_causes(arguments: &EvaluateArguments, each: usize) -> Result<Outcome, Failure> {
+    let CauseArguments { plant, seed, .. } = &arguments.causes;
+    let (config, duty_cycles) = arguments.reading.load()?;
+    let Some(first) = duty_cycles.first().filter(|_| duty_cycles.len() == 1) else {
+        let text = "--causes takes one model: the configuration has several duty cycles, or none";
+        return Err(Failure::new(Code::Usage, text));
+    };
+    let inputs = arguments.reading.files(&config).chain(plant.as_deref());
+    let html = Outputs::new(arguments.overwrite, inputs).claim_any(arguments.html.as_ref())?;
+    let spec = read_plant(plant.as_deref())?;
+    let file = first.model.file();
+    if (spec.cycle.period_s - file.cycle.period_s).abs() > 1e-6 {
+        let (plant_s, model_s) = (spec.cycle.period_s, file.cycle.period_s);
+        let text = format!(
+            "the plant's cycle takes {plant_s} s, the model reads one of {model_s} s; name the model's plant file with --plant"
+        );
+        return Err(Failure::new(Code::Configuration, text));
+    }
+    let planted = plant_causes(&spec, &Spread::default(), each, *seed);
+    let steps = Steps::begin(planted.len() as u64, "watching");
+    let evaluation = causes::evaluate(&first.model, &planted, *seed, |machines| {
+        (0..machines).for_each(|_| steps.one_more());
+    })?;
+    drop(steps);
+    if let Some(html) = html {
+        html.write(CausePage { evaluation: &evaluation }.render())?;
+    }
+    let text = if arguments.json {
+        serde_json::to_string(&evaluation).map_err(|error| Failure::new(Code::Internal, error.to_string()))?
+            + "\n"
+    } else {
+        cause_table(&evaluation)
+    };
+    print(text.as_bytes())?;
     Ok(Outcome::Good)
 }
 

@@ -3,6 +3,8 @@
 //! [`record`] lays each machine's cycles beside the truth, [`sizes`] judges the estimates, [`detection`] the alarms and
 //! their delay, [`roc`] every threshold that they could have.
 
+#[cfg(feature = "train")]
+pub mod causes;
 pub mod detection;
 pub mod record;
 pub mod roc;

@@ -5,6 +5,8 @@ use std::io::{self, Write};
 use seepd_model::accuracy::Decade;
 
 use crate::evaluation::Evaluation;
+#[cfg(feature = "train")]
+use crate::evaluation::causes::CauseEvaluation;
 use crate::evaluation::detection::Detection;
 use crate::evaluation::roc::Roc;
 use crate::evaluation::sizes::Sizes;
@@ -42,6 +44,47 @@ pub fn write_tables(out: &mut impl Write, evaluation: &Evaluation) -> io::Result
         write_roc(out, roc)?;
     }
     Ok(())
+}
+
+/// What named causes are worth, as a table.
+#[cfg(feature = "train")]
+pub fn cause_table(evaluation: &CauseEvaluation) -> String {
+    let share = |share: f64| percent(share, 1);
+    let mut text = format!(
+        "{} machines, {} cycles after the change, seed {}\n\
+         right: {}; where causes that look alike count as one: {}\n\
+         a flag on a machine without a leak: {}; a condition on one that stayed as it was: {}\n\n\
+         {:<18} {:>8} {:>8} {:>16}  the last cycle says\n",
+        evaluation.machines,
+        evaluation.watched_cycles,
+        evaluation.seed,
+        share(evaluation.right),
+        share(evaluation.right_within_class),
+        share(evaluation.flags_without_leak),
+        share(evaluation.conditions_without_change),
+        "planted",
+        "machines",
+        "found",
+        "cycles until then"
+    );
+    for row in &evaluation.planted {
+        let cycles = match (row.median_cycles, row.slowest_cycles) {
+            (Some(median), Some(slowest)) => format!("{median}, at most {slowest}"),
+            _ => "–".to_owned(),
+        };
+        let mut named: Vec<(&str, usize)> = row.named.iter().map(|(name, count)| (*name, *count)).collect();
+        named.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+        let named: Vec<String> = named.iter().map(|(name, count)| format!("{name} {count}")).collect();
+        text += &format!(
+            "{:<18} {:>8} {:>8} {:>16}  {}\n",
+            row.cause,
+            row.machines,
+            row.found,
+            cycles,
+            named.join(", ")
+        );
+    }
+    text
 }
 
 /// A decade's ends in mm², without their unit.

@@ -64,7 +64,7 @@ impl Progress {
     }
 
     pub(super) fn seconds(&self, time_ns: i64) -> f64 {
-        time_ns.saturating_sub(self.first_ns.unwrap_or(0)) as f64 / 1e9
+        self.first_ns.map_or(0.0, |first_ns| time_ns.saturating_sub(first_ns) as f64 / 1e9)
     }
 
     /// There is nothing to base a statement on.

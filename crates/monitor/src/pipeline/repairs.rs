@@ -70,6 +70,8 @@ impl Progress {
         sink: &mut impl FnMut(&Event<'_>),
     ) {
         let done = repair.in_words();
+        // Before the first sample there is no other time.
+        let now_ns = self.first_ns.map_or(repair.at_ns, |_| self.newest_ns);
         let (notice, text, verdict) = match heeded {
             Heeded::Anew => {
                 let text = format!("{done}: {}", repair.what.consequence());
@@ -94,15 +96,15 @@ impl Progress {
         let cycle = self.cycle;
         self.repairs.push(Repaired { repair: repair.clone(), cycle, verdict, text: told });
         if heeded != Heeded::Known {
-            self.tell(config, None, (notice, text), self.newest_ns, sink);
+            self.tell(config, None, (notice, text), now_ns, sink);
         }
         if heeded == Heeded::Anew && repair.what != RepairKind::Other {
-            self.anew_from_ns = Some(self.newest_ns);
+            self.anew_from_ns = Some(now_ns);
         }
         if heeded == Heeded::Anew && repair.what == RepairKind::SealReplaced {
             self.recent = 0;
             if let Some(change) = self.alarm.begin_anew() {
-                sink(&self.flag_event(config, change, self.newest_ns));
+                sink(&self.flag_event(config, change, now_ns));
             }
         }
     }

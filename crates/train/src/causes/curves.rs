@@ -30,6 +30,12 @@ impl Curve {
         self.ends.windows(2).map(|ends| [ends[0], ends[1]])
     }
 
+    /// Both ends of all ranges.
+    pub(super) fn whole_range(&self) -> [f64; 2] {
+        let end = |end: Option<&f64>| end.copied().unwrap_or(1.0);
+        [end(self.ends.first()), end(self.ends.last())]
+    }
+
     /// Error of the simulator's response, over its length. What shifts the null moves every sample alike, on every machine.
     pub(super) fn error(&self) -> f64 {
         if self.kind.cause == Cause::ValveNull { EXACT_ERROR } else { RESPONSE_ERROR }

@@ -5,6 +5,7 @@
 
 mod basis;
 mod curves;
+pub(crate) mod planted;
 
 use nalgebra::{DMatrix, SymmetricEigen};
 use rayon::prelude::*;
