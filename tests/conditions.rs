@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use seepd_model::Model;
 use seepd_model::causes::Cause;
 use seepd_monitor::baseline::Baseline;
-use seepd_monitor::cause::course::{Condition, Manner, Severity};
+use seepd_monitor::cause::course::{Condition, CourseState, Manner, Severity};
 use seepd_monitor::event::{Event, Flag, NoticeKind};
 use seepd_monitor::pipeline::{MonitorConfig, Pipeline};
 use seepd_signals::Sample;
@@ -50,6 +50,7 @@ struct Heard {
     flags: usize,
     notices: Vec<(NoticeKind, u64, String)>,
     conditions: Vec<Condition>,
+    courses: Vec<CourseState>,
     baseline: Option<Baseline>,
 }
 
@@ -119,6 +120,7 @@ fn run(machines: &[(u64, Stretch, Option<Baseline>)], offset: impl Fn(f64) -> f6
             lanes.into_iter().map(|(pipeline, .., mut heard)| {
                 heard.baseline = pipeline.monitors()[0].baseline().cloned();
                 heard.conditions = pipeline.conditions().copied().collect();
+                heard.courses = pipeline.monitors()[0].courses();
                 heard
             })
         })
@@ -167,6 +169,25 @@ fn a_step_is_dated_and_not_taken_for_a_drift() {
             assert_eq!(heard.notices_of(NoticeKind::ConditionFound).len(), 1, "{:?}", heard.notices);
         }
     }
+}
+
+/// The daemon keeps what is found over a restart, which counts cycles anew: the date stays, the number goes.
+#[test]
+fn what_is_found_outlives_a_restart_with_its_date() {
+    let heard = with_offset(1, 30, |cycle| if cycle >= 10.0 { 0.003 } else { 0.0 });
+    let before = null_of(&heard[0]);
+    let kept = serde_json::to_string(&heard[0].courses).unwrap();
+    let courses: Vec<CourseState> = serde_json::from_str(&kept).unwrap();
+    let mut pipeline = Pipeline::new(MonitorConfig::new("axis", Arc::clone(&MODEL))).unwrap();
+    let monitor = &mut pipeline.monitors_mut()[0];
+    monitor.follow(baselines(1).remove(0).1);
+    monitor.restore_courses(&courses);
+    let after: Vec<Condition> = pipeline.conditions().copied().collect();
+    assert_eq!(after.len(), heard[0].conditions.len());
+    let again = after.iter().find(|one| one.kind == before.kind).unwrap();
+    assert_eq!((again.onset_cycle, again.onset_cycles, again.sum), (None, None, before.sum));
+    assert!((again.onset_ns - before.onset_ns).abs() <= 2 * CYCLE_NS, "{before:?} {again:?}");
+    assert_eq!(again.manner, Manner::Step);
 }
 
 #[test]

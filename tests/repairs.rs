@@ -14,7 +14,9 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use std::time::Duration;
 
-use daemon::{Daemon, Machine, ask, ask_with, axis_status, cycle, free_port, machine_toml, until};
+use daemon::{
+    Daemon, Machine, Mosquitto, ask, ask_with, axis_status, cycle, free_port, has, machine_toml, until,
+};
 use serde_json::{Value, json};
 use support::{seepd, simulate, stderr, stdout, summary};
 
@@ -210,6 +212,38 @@ fn the_log_is_kept_by_commands_and_what_is_wrong_is_one_line() {
     }
     let missing = seepd(["replay", "--repairs", "/nowhere.toml", "x.mcap"]);
     assert_eq!(missing.status.code(), Some(66), "{}", stderr(&missing));
+}
+
+#[test]
+fn entries_come_over_the_broker_and_wrong_ones_are_told() {
+    if !has("mosquitto") || !has("mosquitto_pub") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let broker = Mosquitto::start(folder.path(), free_port(), "allow_anonymous true");
+    let config = format!(
+        "axis = \"press-1\"\nstate_dir = \"state\"\n{}[http]\nlisten = \"127.0.0.1:{port}\"\n[mqtt]\nhost = \"127.0.0.1\"\nport = {}\n",
+        machine_toml(&folder.path().join("in.sock")),
+        broker.port
+    );
+    let running = Daemon::start(folder.path(), &config);
+    let say = |said: &str| {
+        let to =
+            ["-h", "127.0.0.1", "-p", &broker.port.to_string(), "-t", "seepd/press-1/repair", "-m", said];
+        assert!(std::process::Command::new("mosquitto_pub").args(to).status().unwrap().success());
+    };
+    // Orders are asked for once the connection stands: said again until it is heard.
+    until("the wrong entry told", Duration::from_secs(20), || {
+        say("{\"what\":\"seal\"}");
+        running.words().contains("seepd/press-1/repair: this is no entry: unknown variant `seal`")
+    });
+    say("{\"what\":\"oil_changed\",\"note\":\"ISO VG 46\"}");
+    until("the entry", Duration::from_secs(10), || {
+        axis_status(port).is_some_and(|status| status["repairs"][0]["note"] == "ISO VG 46")
+    });
+    let text = fs::read_to_string(folder.path().join("state/axes/press-1/repairs.toml")).unwrap();
+    assert_eq!(text.matches("[[repairs]]").count(), 1, "{text}");
 }
 
 #[test]
