@@ -24,8 +24,23 @@ pub(super) struct Fit {
     pub(super) distance: f64,
     /// Where along each direction the change lies, standard deviations: those of the first cell, then those of the second.
     pub(super) along: [f64; MOST_DIRECTIONS],
-    /// Size of each cell's cause, and its variance.
-    pub(super) sizes: [(f64, f64); 2],
+    /// Factor of the directions' precision, their number, and the variance of a coordinate that they leave.
+    factor: Factor,
+    rank: usize,
+    scale: f64,
+}
+
+impl Fit {
+    /// Size of each fitted cell's cause, and its variance. Apart from the fit, since of hundreds of hypotheses few have any weight.
+    pub(super) fn sizes(&self, cells: &[&Cell]) -> [(f64, f64); 2] {
+        let mut sizes = [(0.0, 0.0); 2];
+        let mut from = 0;
+        for (slot, cell) in sizes.iter_mut().zip(cells) {
+            *slot = size(cell, from, &self.along, (&self.factor, self.rank, self.scale));
+            from += cell.rank;
+        }
+        sizes
+    }
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -122,19 +137,21 @@ impl Causes {
         let mut directions = [[0.0; MAX_NUMBERS]; MOST_DIRECTIONS];
         let mut rank = 0;
         for (place, cell) in cells.iter().enumerate() {
+            // The last cell's response is the change, or most of it: its error goes by that, whichever cell it is.
+            let is_last = place + 1 == cells.len();
             let mean = weighted(self.mean_of(cell));
-            let mut square = dot(&mean[..n], &mean[..n]);
+            let mut length = if is_last { whole } else { dot(&mean[..n], &mean[..n]) };
             for (value, mean) in rest.iter_mut().zip(&mean) {
                 *value -= mean;
             }
             for which in 0..cell.rank {
                 let direction = weighted(self.direction_of(cell, which));
-                square += dot(&direction[..n], &direction[..n]);
+                if !is_last {
+                    length += dot(&direction[..n], &direction[..n]);
+                }
                 directions[rank] = projected(direction);
                 rank += 1;
             }
-            // The last cell's response is the change, or most of it: its error goes by that, whichever cell it is.
-            let length = if place + 1 == cells.len() { whole } else { square };
             // The response beside may be all of the change: what its law leaves must not be held against a cell that is exact.
             let error = beside.map_or(cell.error, |(_, error)| cell.error.max(error));
             scale += error * error * length / n as f64;
@@ -154,13 +171,7 @@ impl Causes {
         let explained: f64 = projections.iter().zip(&along).map(|(a, b)| a * b).sum();
         let square = (dot(&rest[..n], &rest[..n]) - explained).max(0.0) / scale;
         let log_likelihood = -0.5 * (square + (n - rank) as f64 * libm::log(scale) + log_determinant);
-        let mut sizes = [(0.0, 0.0); 2];
-        let mut from = 0;
-        for (slot, cell) in sizes.iter_mut().zip(cells) {
-            *slot = size(cell, from, &along, (&factor, rank, scale));
-            from += cell.rank;
-        }
-        Fit { log_likelihood, distance: square / n as f64, along, sizes }
+        Fit { log_likelihood, distance: square / n as f64, along, factor, rank, scale }
     }
 }
 

@@ -263,7 +263,7 @@ impl<'c> Weighed<'c> {
         let mut seal = 0.0;
         self.each(|weight, cells| {
             let fit = self.causes.fit(&self.whitened, cells);
-            for (cell, size) in cells.iter().zip(fit.sizes) {
+            for (cell, size) in cells.iter().zip(fit.sizes(cells)) {
                 tallies[cell.kind].add(weight, size);
                 seal += if cell.is_seal { weight } else { 0.0 };
             }
