@@ -343,10 +343,22 @@ pub struct CausesFile {
     pub ordinary: Vec<f64>,
     /// Squared distance over the number of coordinates from which on a change has none of these causes.
     pub known_limit: f64,
+    /// Cosine of a cause's response and a leak's, both in units of noise and ordinary variation, from which on the two are one class.
+    #[serde(default = "alike_from", skip_serializing_if = "is_usual_alike_from")]
+    pub alike_from: f64,
     /// Causes at ranges of sizes.
     pub cells: Vec<CellFile>,
     /// Inputs with the outputs that must come out.
     pub golden: Vec<CausesGolden>,
+}
+
+/// Where a file does not say: responses whose angle is below 18 degrees.
+fn alike_from() -> f64 {
+    0.95
+}
+
+fn is_usual_alike_from(value: &f64) -> bool {
+    *value == alike_from()
 }
 
 /// A cause at a range of sizes: the response's distribution over machines, days, laws, and sizes within the range.

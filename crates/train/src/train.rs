@@ -49,6 +49,8 @@ pub struct TrainingSettings {
     pub relative_machines: usize,
     /// Machines with which each range of sizes of each cause is simulated; 0: the model names no causes.
     pub cause_machines: usize,
+    /// Cosine of a cause's response and a leak's from which on the two are one class.
+    pub alike_from: f64,
     /// Least share of the simulated cycles that must be recognised for a model to be made; the others are left out.
     pub least_recognised: f64,
     /// Machines that calibrate intervals and out-of-distribution limits.
@@ -75,6 +77,7 @@ impl Default for TrainingSettings {
             conditions: Conditions::default(),
             relative_machines: 640,
             cause_machines: 16,
+            alike_from: 0.95,
             least_recognised: 0.99,
             calibrated_on: 2048,
             tested_on: 512,

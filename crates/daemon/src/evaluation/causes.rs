@@ -254,6 +254,8 @@ mod tests {
             load_factor: 1.0,
             stretch: 1.0,
             leak_area_m2: 0.0,
+            laminar_share: 0.0,
+            null_deviation: 0.0,
             stream: 0,
         };
         let kind = cause.map(|cause| Kind { cause, side: None, unit: SizeUnit::Share });

@@ -8,8 +8,6 @@ use alloc::vec::Vec;
 
 use super::{Causes, Cell};
 
-/// Cosine of two responses, whitened, from which on they are one class.
-const ALIKE: f64 = 0.95;
 /// Variance of the noise at which responses are compared: 0.003 of full command over eight cycles.
 const TYPICAL_VARIANCE: f64 = 0.003 * 0.003 / 8.0;
 
@@ -23,7 +21,7 @@ impl Causes {
         let leaks: Vec<Vec<f64>> = self.cells.iter().filter(|cell| is_leak(cell)).map(of).collect();
         let is_alike = |cell: &Cell| {
             let response = of(cell);
-            !cell.is_seal && leaks.iter().any(|leak| cosine(leak, &response) > ALIKE)
+            !cell.is_seal && leaks.iter().any(|leak| cosine(leak, &response) > self.file.alike_from)
         };
         let alike: Vec<bool> = self.cells.iter().map(is_alike).collect();
         for (cell, is_alike) in self.cells.iter_mut().zip(alike) {
@@ -115,6 +113,7 @@ mod tests {
             inverse: identity,
             ordinary: vec![1e-8; numbers],
             known_limit: 4.0,
+            alike_from: 0.95,
             cells: cells(Cause::PistonSeal, SizeUnit::Area, 0.2, leak)
                 .chain(cells(Cause::ValveNull, SizeUnit::Share, 0.01, [1.0, 1.0, 0.0, 0.0]))
                 .chain(cells(Cause::Friction, SizeUnit::Force, 0.2, [1.0, -1.0, 0.0, 0.0]))

@@ -311,6 +311,7 @@ pub(crate) fn check_causes(file: &CausesFile, phases: usize) -> Result<(), Model
     has_length("causes.basis", &file.basis, numbers * numbers)?;
     has_length("causes.inverse", &file.inverse, numbers * numbers)?;
     within("causes.known_limit", file.known_limit, 1e-6, 1e9)?;
+    within("causes.alike_from", file.alike_from, 0.0, 1.0)?;
     within("causes.cells.length", file.cells.len() as f64, 1.0, MAX_CELLS as f64)?;
     let mut kinds: Vec<Kind> = Vec::new();
     for (index, cell) in file.cells.iter().enumerate() {

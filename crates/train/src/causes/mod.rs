@@ -175,6 +175,7 @@ pub(crate) fn learn(
         inverse: basis.inverse.clone(),
         ordinary: basis.ordinary.clone(),
         known_limit: 1.0,
+        alike_from: simulator.settings.alike_from,
         cells,
         golden: Vec::new(),
     };

@@ -66,6 +66,8 @@ fn two_days(
         load_factor: noise.factor(spread.load),
         stretch: 1.0,
         leak_area_m2: 0.0,
+        laminar_share: 0.0,
+        null_deviation: 0.0,
         stream,
     };
     let mut on_a_day = || {
