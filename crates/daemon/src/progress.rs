@@ -60,7 +60,7 @@ impl Steps {
     }
 
     /// One more is done.
-    #[cfg(feature = "gap")]
+    #[cfg(any(feature = "gap", feature = "train"))]
     pub(crate) fn one_more(&self) {
         self.bar.inc(1);
         let before = self.done.fetch_add(1, Ordering::Relaxed);
