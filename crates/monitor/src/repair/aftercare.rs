@@ -166,7 +166,7 @@ impl Aftercare {
             (Some(before), Some(after)) if after.stands_as(&before) => (
                 RepairVerdict::Contradicted,
                 format!(
-                    ", but {} stands as before ({} now, {} before): was it this axis?",
+                    ", but what was there stands as before ({}, {} now, {} before): was it this axis?",
                     after.words(),
                     after.told_size(),
                     before.told_size()
