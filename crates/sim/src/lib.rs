@@ -5,6 +5,7 @@ pub mod controller;
 pub mod cycle;
 pub mod effects;
 pub mod electric;
+mod elementary;
 pub mod machine;
 pub mod noise;
 pub mod oil;

@@ -7,6 +7,8 @@
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 use crate::effects::{Effect, Law};
+use crate::elementary;
+use crate::simd::widest;
 
 /// Number of machines that the batched path steps together: one AVX-512 register, two of AVX2.
 pub const LANES: usize = 8;
@@ -39,6 +41,14 @@ pub trait Real:
     fn sqrt(self) -> Self;
     /// Magnitude.
     fn abs(self) -> Self;
+    /// e to the power of it; arguments beyond ±708 count as that.
+    fn exp(self) -> Self;
+    /// Natural logarithm; what is not a normal positive number counts as the smallest one.
+    fn ln(self) -> Self;
+    /// Hyperbolic tangent.
+    fn tanh(self) -> Self;
+    /// To a power, for positive numbers.
+    fn pow(self, exponent: Self) -> Self;
     /// The larger of the two.
     fn max(self, other: Self) -> Self;
     /// The smaller of the two.
@@ -77,6 +87,18 @@ impl Real for f64 {
     #[inline(always)]
     fn abs(self) -> Self {
         f64::abs(self)
+    }
+    fn exp(self) -> Self {
+        elementary::exp(self)
+    }
+    fn ln(self) -> Self {
+        elementary::ln(self)
+    }
+    fn tanh(self) -> Self {
+        elementary::tanh(self)
+    }
+    fn pow(self, exponent: Self) -> Self {
+        elementary::pow(self, exponent)
     }
     #[inline(always)]
     fn max(self, other: Self) -> Self {
@@ -137,6 +159,22 @@ impl SubAssign for Lanes {
     }
 }
 
+impl Lanes {
+    /// A function without branches of each lane. Laws are called through tables, where the widest instructions end.
+    #[inline(always)]
+    fn lanewise(mut self, function: impl Fn(f64) -> f64) -> Self {
+        widest(
+            #[inline(always)]
+            || {
+                for a in &mut self.0 {
+                    *a = function(*a);
+                }
+                self
+            },
+        )
+    }
+}
+
 impl Real for Lanes {
     const WIDTH: usize = LANES;
 
@@ -165,6 +203,28 @@ impl Real for Lanes {
             *a = a.abs();
         }
         self
+    }
+    fn exp(self) -> Self {
+        self.lanewise(elementary::exp)
+    }
+    fn ln(self) -> Self {
+        self.lanewise(elementary::ln)
+    }
+    fn tanh(self) -> Self {
+        self.lanewise(elementary::tanh)
+    }
+    fn pow(self, exponent: Self) -> Self {
+        let mut out = self;
+        // Laws are called through tables, where the widest instructions end.
+        widest(
+            #[inline(always)]
+            || {
+                for (a, b) in out.0.iter_mut().zip(exponent.0) {
+                    *a = elementary::pow(*a, b);
+                }
+                out
+            },
+        )
     }
     #[inline(always)]
     fn max(mut self, other: Self) -> Self {

@@ -26,11 +26,9 @@ impl<T: Real> Law<T> for GasSpring<T> {
     fn soften(&self, moment: &Moment<'_, T>, softening: &mut Softening<T>) {
         let p = moment.state.p_s;
         // V = V_0 (p_0 / p)^(1/n) above the precharge; its compliance −dV/dp beside V_s / β.
-        let compliance = T::from_lanes(|lane| {
-            let (p, p_0) = (p.lane(lane) + ATMOSPHERE_PA, self.precharge.lane(lane) + ATMOSPHERE_PA);
-            let gas = self.volume.lane(lane) * libm::pow(p_0 / p, 1.0 / POLYTROPIC);
-            if p > p_0 { gas / (POLYTROPIC * p) } else { 0.0 }
-        });
+        let (p, p_0) = (p + T::splat(ATMOSPHERE_PA), self.precharge + T::splat(ATMOSPHERE_PA));
+        let gas = self.volume * (p_0 / p).pow(T::splat(1.0 / POLYTROPIC));
+        let compliance = (p - p_0).where_positive(gas / (p * T::splat(POLYTROPIC)), T::splat(0.0));
         softening.supply = softening.supply * (T::splat(1.0) + compliance * moment.plant.beta_over_v_s);
     }
 }

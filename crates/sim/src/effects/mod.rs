@@ -367,7 +367,7 @@ const TRANSITION_SPEED_M_PER_S: f64 = 5e-3;
 
 /// The direction of a speed, −1 … 1: its sign, smooth around 0.
 fn direction<T: Real>(speed: T) -> T {
-    (speed * T::splat(1.0 / TRANSITION_SPEED_M_PER_S)).map(libm::tanh)
+    (speed * T::splat(1.0 / TRANSITION_SPEED_M_PER_S)).tanh()
 }
 
 /// Builds a law for both number types from one generic constructor `fn(&[T]) -> impl Law<T>`.

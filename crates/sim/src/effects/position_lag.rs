@@ -30,7 +30,7 @@ impl<T: Real> Law<T> for Lag<T> {
     fn sense(&self, memory: &mut [T], position: T, sensing: &Sensing<T>) -> T {
         let one = T::splat(1.0);
         // Exact for a position that is constant over a period.
-        let kept = (-sensing.period / self.time_constant).map(libm::exp);
+        let kept = (-sensing.period / self.time_constant).exp();
         let last = memory[1].where_positive(memory[0], position);
         let filtered = last * kept + position * (one - kept);
         memory[0] = self.time_constant.where_positive(filtered, position);

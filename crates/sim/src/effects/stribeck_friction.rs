@@ -24,7 +24,7 @@ impl<T: Real> Law<T> for Stribeck<T> {
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         let v = moment.state.v;
         let share = v / self.speed;
-        let added = (self.static_force - self.force).max(T::splat(0.0)) * (-(share * share)).map(libm::exp);
+        let added = (self.static_force - self.force).max(T::splat(0.0)) * (-(share * share)).exp();
         let sign = direction(v);
         terms.force -= (self.force + added) * sign;
     }

@@ -7,9 +7,10 @@ use crate::real::Real;
 /// See the [module](self).
 pub(super) struct TurbulentLeak;
 
-/// Exponent of the pressure difference.
+/// Exponent of the pressure difference, and what makes both laws pass the same at the reference.
 struct LeakLaw<T> {
     exponent: T,
+    at_reference: T,
 }
 
 /// Pressure difference at which both laws pass the same, Pa.
@@ -17,7 +18,8 @@ const REFERENCE_PA: f64 = 7e6;
 
 impl<T: Real> LeakLaw<T> {
     fn new(values: &[T]) -> Self {
-        LeakLaw { exponent: values[0] }
+        let exponent = values[0];
+        LeakLaw { exponent, at_reference: T::splat(REFERENCE_PA).pow(T::splat(0.5) - exponent) }
     }
 }
 
@@ -27,11 +29,8 @@ impl<T: Real> Law<T> for LeakLaw<T> {
         let dp = moment.state.p_1 - moment.state.p_2;
         let k = plant.k_leak_per_area * moment.a_leak;
         let orifice = sq(k, dp, plant.dp_t_squared);
-        let scale = T::from_lanes(|lane| {
-            let n = self.exponent.lane(lane);
-            let magnitude = dp.lane(lane) * dp.lane(lane) + plant.dp_t_squared.lane(lane);
-            REFERENCE_PA.powf(0.5 - n) * libm::pow(magnitude, 0.5 * (n - 1.0))
-        });
+        let magnitude = dp * dp + plant.dp_t_squared;
+        let scale = self.at_reference * magnitude.pow(T::splat(0.5) * (self.exponent - T::splat(1.0)));
         let zero = T::splat(0.0);
         let more = (self.exponent - T::splat(0.5)).where_positive(k * dp * scale - orifice, zero);
         terms.cap_flow -= more;

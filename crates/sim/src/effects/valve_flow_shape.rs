@@ -26,10 +26,7 @@ impl<T: Real> Law<T> for Shape<T> {
     }
 
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
-        T::from_lanes(|lane| {
-            let (u, n) = (command.lane(lane), self.exponent.lane(lane));
-            u * libm::pow(u.abs().max(LINEAR_BELOW), n - 1.0)
-        })
+        command * command.abs().max(T::splat(LINEAR_BELOW)).pow(self.exponent - T::splat(1.0))
     }
 }
 

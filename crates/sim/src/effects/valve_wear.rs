@@ -27,7 +27,7 @@ impl<T: Real> Wear<T> {
 impl<T: Real> Law<T> for Wear<T> {
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         let (state, plant) = (moment.state, moment.plant);
-        let k = self.coefficient * (-moment.spool.abs() / self.decay).map(libm::exp);
+        let k = self.coefficient * (-moment.spool.abs() / self.decay).exp();
         let land = |dp: T| sq(k, dp, plant.dp_t_squared);
         let (to_cap, to_rod) = (land(state.p_3 - state.p_1), land(state.p_3 - state.p_2));
         let (from_cap, from_rod) = (land(state.p_1 - plant.p_r), land(state.p_2 - plant.p_r));
