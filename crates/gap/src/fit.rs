@@ -4,6 +4,7 @@
 //! simulation at a time; here a Jacobian, and the steps of several dampings, are simulated side by side.
 
 use nalgebra::{DMatrix, DVector};
+use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::{EffectInfo, Parameter};
 use seepd_sim::real::LANES;
@@ -223,6 +224,32 @@ impl<'r> Problem<'r> {
         rows.into_iter().map(DVector::from_vec).collect()
     }
 
+    /// How much of the position's differences each wave over the recorded position explains, beside their mean, moves out and back each for
+    /// themselves: a periodogram over places (Lomb, Astrophysics and Space Science 39 (1976)).
+    pub(crate) fn waves_over_position(&self, residual: &DVector<f64>, waves_per_m: &[f64]) -> Vec<f64> {
+        let signals = &self.record.signals;
+        let Some(place) = signals.iter().position(|signal| *signal == Signal::Position) else {
+            return vec![0.0; waves_per_m.len()];
+        };
+        let mut powers = vec![0.0; waves_per_m.len()];
+        for (drive, shown) in self.shown.iter().enumerate() {
+            let x = &shown[place];
+            let rest = &residual.as_slice()[(drive * signals.len() + place) * BINS..][..BINS];
+            let fast = x.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
+            for sign in [1.0, -1.0] {
+                let moving: Vec<(f64, f64)> = (1..BINS - 1)
+                    .filter(|bin| sign * (x[bin + 1] - x[bin - 1]) > 0.1 * fast)
+                    // Against the bins beside it: what changes slowly is no wave.
+                    .map(|bin| (x[bin], rest[bin] - 0.5 * (rest[bin - 1] + rest[bin + 1])))
+                    .collect();
+                for (power, waves_per_m) in powers.iter_mut().zip(waves_per_m) {
+                    *power += wave_power(&moving, *waves_per_m);
+                }
+            }
+        }
+        powers
+    }
+
     /// Mean square of each signal's differences over their expected error.
     pub(crate) fn by_signal(&self, residual: &DVector<f64>) -> Vec<f64> {
         let signals = self.record.signals.len();
@@ -232,6 +259,17 @@ impl<'r> Problem<'r> {
         }
         sums.into_iter().map(|sum| sum / INDEPENDENT).collect()
     }
+}
+
+/// What a sine and a cosine of that many waves a metre explain of values at places.
+fn wave_power(values: &[(f64, f64)], waves_per_m: f64) -> f64 {
+    let (mut sine, mut cosine) = (0.0, 0.0);
+    for (x_m, value) in values {
+        let (s, c) = (std::f64::consts::TAU * waves_per_m * x_m).sin_cos();
+        sine += value * s;
+        cosine += value * c;
+    }
+    (sine * sine + cosine * cosine) / values.len().max(1) as f64
 }
 
 fn same_drive(record: &Record, cycles: &[usize]) -> bool {

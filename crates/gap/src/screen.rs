@@ -28,8 +28,10 @@ const DECADES: [f64; 5] = [0.02, 0.05, 0.1, 0.3, 0.7];
 const BESIDE: [f64; 2] = [0.15, 0.6];
 /// Levels of a size beside places, times or waves, which are tried at many: how much of it follows from the projection.
 const ONE_SIZE: [f64; 1] = [0.2];
-/// How many starts, and how many waves: near enough that over half a metre the nearest is a quarter of a wave off at most.
+/// How many starts, and how many pitches.
 const STARTS: usize = 16;
+const PITCHES: usize = 8;
+/// Pitches of which those are chosen: near enough that over half a metre the nearest is a quarter of a wave off at most.
 const WAVES: usize = 192;
 
 /// Screens the catalogue, but for some effects, on the calibrated machine; the most promising first.
@@ -43,7 +45,8 @@ pub(crate) fn screen<A: SimulatedAxis>(
         // What the plant file has already is part of the plant.
         if !calibrated.spec.effects().contains_key(effect.key) && !without.iter().any(|key| key == effect.key)
         {
-            tried.extend(levels(effect, &calibrated.spec).into_iter().map(|values| (effect, values)));
+            let levels = levels(effect, &calibrated.spec, &|range| pitches(problem, calibrated, range));
+            tried.extend(levels.into_iter().map(|values| (effect, values)));
         }
     }
     let machines: Vec<A> =
@@ -78,8 +81,32 @@ pub(crate) fn with<A: SimulatedAxis>(spec: &A, effect: &EffectInfo, values: &[f6
     spec
 }
 
-/// Combinations of the parameters' levels.
-fn levels<A: SimulatedAxis>(effect: &EffectInfo, spec: &A) -> Vec<Vec<f64>> {
+/// Pitches of the strongest waves over the position that are left of the recorded position, the strongest of each octave or so among them: an
+/// error of the position's sensor keeps its pitch whatever the loop makes of its size.
+fn pitches<A: SimulatedAxis>(
+    problem: &Problem<'_>,
+    calibrated: &Fit<A>,
+    (low, high): (f64, f64),
+) -> Vec<f64> {
+    let waves_per_m: Vec<f64> = (0..WAVES)
+        .map(|wave| 1.0 / high + (wave as f64 + 0.5) / WAVES as f64 * (1.0 / low - 1.0 / high))
+        .collect();
+    let powers = problem.waves_over_position(&calibrated.residual, &waves_per_m);
+    let is_peak = |wave: usize| {
+        let beside = wave.saturating_sub(1)..(wave + 2).min(WAVES);
+        beside.into_iter().all(|other| powers[other] <= powers[wave])
+    };
+    let mut peaks: Vec<usize> = (0..WAVES).filter(|wave| is_peak(*wave)).collect();
+    peaks.sort_by(|a, b| powers[*b].total_cmp(&powers[*a]));
+    peaks.into_iter().take(PITCHES).map(|wave| 1.0 / waves_per_m[wave]).collect()
+}
+
+/// Combinations of the parameters' levels; those of a pitch are asked for.
+fn levels<A: SimulatedAxis>(
+    effect: &EffectInfo,
+    spec: &A,
+    pitches: &dyn Fn((f64, f64)) -> Vec<f64>,
+) -> Vec<Vec<f64>> {
     let mut combinations: Vec<Vec<f64>> = vec![Vec::new()];
     for (index, parameter) in effect.parameters.iter().enumerate() {
         let (low, high) = spec.range(effect, parameter);
@@ -88,11 +115,7 @@ fn levels<A: SimulatedAxis>(effect: &EffectInfo, spec: &A) -> Vec<Vec<f64>> {
         let shares: Vec<f64> = match parameter.name {
             "start_s" => (0..STARTS).map(|start| (start as f64 + 0.3) / STARTS as f64).collect(),
             "duration_s" => vec![0.05, 0.12],
-            // Waves over the stroke count, not their length.
-            "pitch_m" => (0..WAVES)
-                .map(|wave| 1.0 / high + (wave as f64 + 0.5) / WAVES as f64 * (1.0 / low - 1.0 / high))
-                .map(|waves_per_m| (1.0 / waves_per_m - low) / (high - low))
-                .collect(),
+            "pitch_m" => pitches((low, high)).into_iter().map(|pitch| (pitch - low) / (high - low)).collect(),
             _ if many => ONE_SIZE.to_vec(),
             _ if spans_decades(low, high) => {
                 DECADES.iter().map(|share| low * ((high / low).powf(*share) - 1.0) / (high - low)).collect()
