@@ -8,7 +8,7 @@ use seepd_sim::{Controller, DutyCycle, PlantParameters};
 use serde::{Deserialize, Serialize};
 
 use crate::foreign::Foreign;
-use crate::press::{EffectValues, Press};
+use crate::press::{EffectValues, Press, Variation};
 
 /// What kind of case it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -45,8 +45,41 @@ pub struct Truth {
     pub parameters: BTreeMap<String, f64>,
     /// Share by which the load varies from cycle to cycle.
     pub load_variation: f64,
+    /// Standard deviation of the time by which strokes and loads of a cycle are late or early, s.
+    #[serde(default)]
+    pub jitter_s: f64,
+    /// Pressure transducers as bought: supply, inlet, cap and rod.
+    #[serde(default)]
+    pub transducers: [Transducer; 4],
     /// Seed of noise and variation.
     pub seed: u64,
+}
+
+/// What a transducer makes of what it measures.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Transducer {
+    /// Shown over true.
+    pub gain: f64,
+    /// Shown at 0, Pa.
+    pub offset_pa: f64,
+}
+
+impl Default for Transducer {
+    fn default() -> Self {
+        Transducer { gain: 1.0, offset_pa: 0.0 }
+    }
+}
+
+impl Transducer {
+    /// One of the class of 0.25 %: gain and zero are each off by up to that, of 100 bar.
+    fn drawn(noise: &mut Noise) -> Self {
+        Transducer { gain: 1.0 + noise.uniform(-0.0025, 0.0025), offset_pa: noise.uniform(-2.5e4, 2.5e4) }
+    }
+
+    /// What it shows of a pressure.
+    pub fn shown_pa(self, pressure_pa: f64) -> f64 {
+        self.gain * pressure_pa + self.offset_pa
+    }
 }
 
 /// A case: what the diagnosis is given, and the truth.
@@ -125,6 +158,11 @@ pub fn draw(seed: u64, each: usize, sizes: usize) -> Vec<Case> {
 }
 
 impl Truth {
+    /// How its cycles differ.
+    pub fn variation(&self) -> Variation {
+        Variation { load: self.load_variation, jitter_s: self.jitter_s, seed: self.seed }
+    }
+
     /// The machine.
     pub fn press(&self) -> Press {
         let mut plant = PlantParameters { leak_area_m2: self.leak_area_m2, ..PlantParameters::default() };
@@ -185,11 +223,15 @@ fn planted(set: Set, planted: &[&'static dyn Effect], strength: (f64, f64), nois
     truth
 }
 
+/// How far loads and times differ from cycle to cycle, on half of the machines each.
+const LOAD_VARIATION: f64 = 0.014;
+const JITTER_S: f64 = 3e-3;
+
 /// A machine whose parameters are off by so many of their usual spreads, with a leak from none to large.
 fn machine(set: Set, off: f64, noise: &mut Noise) -> Truth {
     let plan = PlantParameters::default();
     let mut parameters = BTreeMap::new();
-    let spreads: [(&str, f64); 10] = [
+    let spreads: [(&str, f64); 17] = [
         ("valve_m3_per_s_sqrt_pa", 0.10),
         ("viscous_friction_n_s_per_m", 0.35),
         ("mass_kg", 0.35),
@@ -200,6 +242,13 @@ fn machine(set: Set, off: f64, noise: &mut Noise) -> Truth {
         ("line_m3_per_s_sqrt_pa", 0.08),
         ("seal_resistance_pa_s_per_m3", 0.4),
         ("load_scale", 0.06),
+        ("supply_volume_m3", 0.15),
+        ("inlet_volume_m3", 0.15),
+        ("cap_dead_volume_m3", 0.2),
+        ("rod_dead_volume_m3", 0.2),
+        ("valve_rod_resistance_pa_s_per_m3", 0.5),
+        ("valve_return_resistance_pa_s_per_m3", 0.5),
+        ("transition_pressure_pa", 0.2),
     ];
     if off > 0.0 {
         for (key, spread) in spreads {
@@ -214,7 +263,12 @@ fn machine(set: Set, off: f64, noise: &mut Noise) -> Truth {
     } else {
         10f64.powf(noise.uniform(5e-8_f64.log10(), 1e-5_f64.log10()))
     };
-    let load_variation = if noise.uniform(0.0, 1.0) < 1.0 / 3.0 { 0.02 } else { 0.0 };
+    let some = |share: f64, value: f64, noise: &mut Noise| {
+        if noise.uniform(0.0, 1.0) < share { value } else { 0.0 }
+    };
+    let load_variation = some(0.5, LOAD_VARIATION, noise);
+    let jitter_s = some(0.5, JITTER_S, noise);
+    let transducers = std::array::from_fn(|_| Transducer::drawn(noise));
     Truth {
         set,
         effects: EffectValues::new(),
@@ -223,6 +277,8 @@ fn machine(set: Set, off: f64, noise: &mut Noise) -> Truth {
         leak_area_m2,
         parameters,
         load_variation,
+        jitter_s,
+        transducers,
         seed: noise.uniform(0.0, 1e9) as u64,
     }
 }

@@ -76,6 +76,8 @@ const BEND_RATE: usize = 11;
 pub struct Variation {
     /// Share by which the load varies from cycle to cycle.
     pub load: f64,
+    /// Standard deviation of the time by which a cycle's strokes and loads are late or early, s.
+    pub jitter_s: f64,
     /// Seed of it.
     pub seed: u64,
 }
@@ -93,12 +95,17 @@ impl Press {
         let mut play = Play { last: 0.0, offset: 0.0 };
         for cycle in 0..=cycles {
             let factor = if cycle == 0 { 1.0 } else { noise.factor(variation.load) };
-            let load = |tick: usize| self.cycle.load_n(tick as f64 * planned_s) * factor;
+            let late_s =
+                if cycle == 0 || variation.jitter_s == 0.0 { 0.0 } else { noise.normal(variation.jitter_s) };
+            let asked_s = |tick: usize| (tick as f64 * planned_s - late_s).max(0.0);
+            let load = |tick: usize| self.cycle.load_n(asked_s(tick)) * factor;
             for tick in 0..ticks {
                 let at_s = tick as f64 * planned_s;
-                let demand_m = self.cycle.demand_m(at_s);
+                let demand_m = self.cycle.demand_m(asked_s(tick));
                 let position_m = laws.measured(&state);
-                let aim = self.foreign.map_or(demand_m, |foreign| foreign.demand(demand_m, self.slope(at_s)));
+                let aim = self
+                    .foreign
+                    .map_or(demand_m, |foreign| foreign.demand(demand_m, self.slope(asked_s(tick))));
                 let command = controller.tick(self, &laws, aim, position_m);
                 if cycle > 0 {
                     let pressures_pa = [state[P_S], state[P_3], state[P_1], state[P_2]];

@@ -31,8 +31,8 @@ fn planted(values: &BTreeMap<String, BTreeMap<String, f64>>, leak_area_m2: f64) 
 
 fn simulated(values: &BTreeMap<String, BTreeMap<String, f64>>, leak_area_m2: f64) -> Log {
     let spec = MachineSpec { effects: values.clone(), ..MachineSpec::default() };
-    spec.check().unwrap();
     let spec = spec.with_stable_steps();
+    spec.check().unwrap();
     let machine = Machine::<f64>::new(&[&spec]);
     let mut state = machine.start();
     let schedule =

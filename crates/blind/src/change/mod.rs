@@ -207,7 +207,7 @@ impl Watched {
         for part in 0..2 {
             let machine = day(&mut noise);
             let press = self.press(&machine, 0.0);
-            let variation = Variation { load: LOAD, seed: self.seed + part };
+            let variation = Variation { load: LOAD, jitter_s: 0.0, seed: self.seed + part };
             if !press.run(BASELINE_CYCLES / 2, variation, |sample| sink(0, sample)) {
                 return false;
             }
@@ -216,7 +216,7 @@ impl Watched {
             if self.change.drifts { (&DRIFT, STAGE_CYCLES) } else { (&[1.0], STEP_CYCLES) };
         stages.iter().enumerate().all(|(stage, share)| {
             let machine = day(&mut noise);
-            let variation = Variation { load: LOAD, seed: self.seed + 7 + stage as u64 };
+            let variation = Variation { load: LOAD, jitter_s: 0.0, seed: self.seed + 7 + stage as u64 };
             self.press(&machine, *share).run(cycles, variation, |sample| sink(1 + stage, sample))
         })
     }

@@ -9,7 +9,6 @@ use std::path::{Path, PathBuf};
 use clap::{Args, Subcommand};
 use rayon::prelude::*;
 use seepd_blind::cause::{Case, Truth};
-use seepd_blind::press::Variation;
 use seepd_blind::score::{Answer, Answered, Scores, score};
 use seepd_gap::{DiagnosisSettings, Log, Record, nominal_gap};
 use seepd_settings::side_file;
@@ -209,11 +208,13 @@ fn write_case(out: &Output, case: &Case, cycles: usize) -> Result<(), Failure> {
     let channel = sink.add_channel("/axis/signals", "seepd.Signals", schema::SIGNALS).map_err(writing)?;
     let mut noise = Noise::new(case.truth.seed, 11);
     let press = case.truth.press();
-    let variation = Variation { load: case.truth.load_variation, seed: case.truth.seed };
     let (mut tick, mut line, mut result) = (0i64, Vec::with_capacity(256), Ok(()));
     let rounded = |value: f64| (value * 1e7).round() / 1e7;
-    let finite = press.run(cycles, variation, |sample| {
-        let mut pressure = |index: usize| (sample.pressures_pa[index] + noise.normal(NOISE.2)).round();
+    let finite = press.run(cycles, case.truth.variation(), |sample| {
+        let mut pressure = |index: usize| {
+            let shown_pa = case.truth.transducers[index].shown_pa(sample.pressures_pa[index]);
+            (shown_pa + noise.normal(NOISE.2)).round()
+        };
         let (p_supply, p_inlet, p_cap, p_rod) = (pressure(0), pressure(1), pressure(2), pressure(3));
         let command = rounded(sample.command + noise.normal(NOISE.0));
         let others = OtherSignals {
