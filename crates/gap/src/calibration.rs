@@ -67,7 +67,7 @@ pub fn calibrate<A: SimulatedAxis>(
     let is_wear =
         |free: &Free| matches!(free.target, Target::Plant(parameter) if Some(parameter.key) == wear);
     let mut free = free_parameters(spec);
-    free.retain(|free| settings.wear || !is_wear(free));
+    free.retain(|free| (settings.wear || !is_wear(free)) && !free.is_hardly_told());
     let wanted =
         A::catalogue().into_iter().filter(|effect| settings.effects.iter().any(|key| key == effect.key));
     free.extend(wanted.flat_map(|effect| of_effect(effect, spec)));

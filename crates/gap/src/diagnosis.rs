@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use seepd_sim::effects::EffectInfo;
+use seepd_sim::real::LANES;
 
 use crate::fit::{Fit, Problem, Target, free_parameters};
 use crate::places::{phase_spans, places};
@@ -16,6 +17,7 @@ use crate::search::{Explanation, SearchResult, search};
 use crate::shrink::{HeldOut, attributed};
 use crate::simulate::binned_signals;
 use crate::simulated_axis::SimulatedAxis;
+use crate::transducers::SensorError;
 
 /// What a diagnosis is asked for.
 #[derive(Debug, Clone, PartialEq)]
@@ -125,6 +127,7 @@ pub fn cannot_tell(reason: String) -> Diagnosis {
         calibrated: BTreeMap::new(),
         leak: Leaks { nominal_m2: f64::NAN, calibrated_m2: f64::NAN, chosen_m2: f64::NAN },
         distinguish: Vec::new(),
+        sensors: BTreeMap::new(),
         notes: Vec::new(),
         curves: Curves::default(),
     }
@@ -316,7 +319,11 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         let best: Vec<&Explanation<A>> =
             effects.iter().filter_map(|(effect, _)| ranked.best_with(effect.key)).collect();
         machines.extend(best.iter().map(|explanation| explanation.fit.spec.clone()));
-        let gaps = self.held_out.gaps(&machines);
+        // The least likely ones, beyond a batch of lanes, have their gap on the first held-out cycle alone.
+        let (likely, others) = machines.split_at(machines.len().min(LANES));
+        let mut gaps = self.held_out.gaps(likely);
+        let first = HeldOut { cycles: &self.held_out.cycles[..1], ..*self.held_out };
+        gaps.extend(first.gaps(others));
         let shrink = |now: &[f64], to_floor: bool| self.held_out.shrink(&gaps[0], now, to_floor);
         let findings: Vec<RankedEffect> = effects
             .iter()
@@ -331,8 +338,10 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         };
         let effects_chosen = match ranked.explanations.first() {
             Some((best, _)) if verdict == Verdict::Effect => {
+                let ends = (shrink(&gaps[1], true), shrink(&gaps[2], true));
+                let (problem, held_out) = (self.problem, self.held_out);
                 let parts =
-                    attributed(self.problem, self.held_out, &gaps[0], calibrated, best, settings.iterations);
+                    attributed(problem, held_out, &gaps[0], ends, calibrated, best, settings.iterations);
                 best.effects.iter().map(|effect| effect.key).zip(parts).collect()
             }
             _ => Vec::new(),
@@ -368,6 +377,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             },
             distinguish: distinguish::<A>(record, &findings, &ranked.candidates, verdict),
             effects: findings,
+            sensors: self.sensors(&chosen.spec),
             notes: record.notes.clone(),
             curves: self.curves(&machines[..3]),
         }
@@ -416,6 +426,13 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             }
         }
         told
+    }
+
+    /// What the sensors' classes take of the difference to the machine as diagnosed.
+    fn sensors(&self, machine: &A) -> BTreeMap<&'static str, SensorError> {
+        let errors = self.held_out.sensors(machine);
+        let signals = self.record.signals.iter();
+        signals.zip(errors).filter_map(|(signal, error)| Some((signal.name(), error?))).collect()
     }
 
     fn places(&self) -> Vec<Place> {

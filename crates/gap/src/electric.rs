@@ -32,6 +32,7 @@ impl SimulatedAxis for ElectricAxis {
                 bounds: (nominal / 4.0, nominal * 4.0),
                 scale: Scale::Logarithmic,
                 sigma: Some(std::f64::consts::LN_2),
+                hardly_told: false,
             })
         };
         [by_factor("mass_kg", "M"), by_factor("viscous_friction_n_s_per_m", "F_v")]

@@ -14,6 +14,7 @@ use crate::record::{BINS, Record};
 use crate::screen::spans_decades;
 use crate::simulate::{BinnedSignals, binned_signals};
 use crate::simulated_axis::{CalibratedParameter, Scale, SimulatedAxis};
+use crate::transducers::Allowance;
 
 /// Independent values that a signal is taken to have in a cycle: model errors are alike over a twentieth of a cycle or so, and each bin
 /// counted by itself would be certain of anything.
@@ -152,6 +153,11 @@ impl Free {
         if coordinate + step > self.high { -step } else { step }
     }
 
+    /// Whether it is a constant that logs hardly tell.
+    pub(crate) fn is_hardly_told(&self) -> bool {
+        matches!(self.target, Target::Plant(parameter) if parameter.hardly_told)
+    }
+
     fn is_time(&self) -> bool {
         matches!(self.target, Target::Effect(effect, index) if effect.is_time(index))
     }
@@ -165,6 +171,8 @@ pub(crate) struct Problem<'r> {
     shown: Vec<BinnedSignals>,
     /// One over the expected error of each signal, with the square root of the share that a bin counts.
     weights: Vec<f64>,
+    /// What each signal's sensor may be off by, where it has a class.
+    allowances: Vec<Option<Allowance>>,
     /// Mean square over expected error that is left of each signal when only what differs from cycle to cycle is left.
     pub(crate) noise: Vec<f64>,
 }
@@ -193,7 +201,7 @@ impl<'r> Problem<'r> {
         };
         let averaged = if drives.len() == 1 { cycles.len() as f64 } else { 1.0 };
         let bins = (BINS * drives.len()) as f64;
-        let (weights, noise) = record
+        let (weights, noise): (Vec<f64>, Vec<f64>) = record
             .floor
             .iter()
             .zip(&record.range)
@@ -203,7 +211,8 @@ impl<'r> Problem<'r> {
                 ((INDEPENDENT / bins / expected).sqrt() / range, noise / expected)
             })
             .unzip();
-        Problem { record, drives, shown, weights, noise }
+        let allowances = allowances(record, &shown, &weights);
+        Problem { record, drives, shown, weights, allowances, noise }
     }
 
     /// Weighted differences of simulation and record, one row a machine: by drive, signal, bin.
@@ -221,7 +230,23 @@ impl<'r> Problem<'r> {
                 }
             }
         }
+        rows.iter_mut().for_each(|row| self.allow_for_sensors(row));
         rows.into_iter().map(DVector::from_vec).collect()
+    }
+
+    /// Takes off what sensors explain within their classes.
+    fn allow_for_sensors(&self, row: &mut [f64]) {
+        let signals = self.record.signals.len();
+        for (signal, allowance) in self.allowances.iter().enumerate() {
+            let Some(allowance) = allowance else { continue };
+            let places = (0..self.drives.len()).map(|drive| (drive * signals + signal) * BINS..);
+            let mut differences: Vec<f64> =
+                places.clone().flat_map(|place| row[place][..BINS].to_vec()).collect();
+            allowance.take_off(&mut differences);
+            for (place, differences) in places.zip(differences.chunks(BINS)) {
+                row[place][..BINS].copy_from_slice(differences);
+            }
+        }
     }
 
     /// How much of the position's differences each wave over the recorded position explains, beside their mean, moves out and back each for
@@ -259,6 +284,15 @@ impl<'r> Problem<'r> {
         }
         sums.into_iter().map(|sum| sum / INDEPENDENT).collect()
     }
+}
+
+/// What each signal's sensor may add to weighted differences, by drive and bin.
+fn allowances(record: &Record, shown: &[BinnedSignals], weights: &[f64]) -> Vec<Option<Allowance>> {
+    let of = |(signal, kind): (usize, &Signal)| {
+        let recorded: Vec<f64> = shown.iter().flat_map(|view| view[signal].iter().copied()).collect();
+        Allowance::new(*kind, &recorded, weights[signal])
+    };
+    record.signals.iter().enumerate().map(of).collect()
 }
 
 /// What a sine and a cosine of that many waves a metre explain of values at places.

@@ -15,6 +15,7 @@ mod search;
 mod shrink;
 mod simulate;
 pub mod simulated_axis;
+pub mod transducers;
 
 pub use calibration::{Calibration, CalibrationSettings, Known, calibrate};
 pub use diagnosis::{DiagnosisSettings, cannot_tell, diagnose, nominal_gap};

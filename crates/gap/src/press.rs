@@ -27,6 +27,16 @@ const BY_FACTOR: &[(&str, f64, f64, f64)] = &[
     ("seal_resistance_pa_s_per_m3", 1.0 / 3.0, 3.0, std::f64::consts::LN_2),
     ("load_scale", 0.7, 1.3, std::f64::consts::LN_2),
 ];
+/// Constants that logs hardly tell, alike: volumes from drawings, leakage of a valve as new, the square-root law's end.
+const HARDLY_TOLD: &[(&str, f64, f64, f64)] = &[
+    ("supply_volume_m3", 0.5, 2.0, 0.2),
+    ("inlet_volume_m3", 0.5, 2.0, 0.2),
+    ("cap_dead_volume_m3", 0.4, 2.5, 0.3),
+    ("rod_dead_volume_m3", 0.4, 2.5, 0.3),
+    ("valve_rod_resistance_pa_s_per_m3", 0.125, 8.0, std::f64::consts::LN_2),
+    ("valve_return_resistance_pa_s_per_m3", 0.125, 8.0, std::f64::consts::LN_2),
+    ("transition_pressure_pa", 0.5, 2.0, 0.3),
+];
 /// The return pressure is calibrated by addition: largest value, and standard deviation, Pa.
 const RETURN_PRESSURE_PA: (f64, f64) = (2.5e6, 2e5);
 /// Largest leak that is fitted, and its unit in the fit, m², for a valve of the nominal size.
@@ -54,7 +64,8 @@ impl SimulatedAxis for MachineSpec {
     }
 
     fn calibrated_parameters(&self) -> Vec<CalibratedParameter> {
-        let by_factor = BY_FACTOR.iter().filter_map(|(key, low, high, sigma)| {
+        let told = BY_FACTOR.iter().map(|of| (of, false)).chain(HARDLY_TOLD.iter().map(|of| (of, true)));
+        let by_factor = told.filter_map(|((key, low, high, sigma), hardly_told)| {
             let nominal = self.plant.get(key).filter(|value| *value > 0.0)?;
             let given = self.bounds_of(key);
             Some(CalibratedParameter {
@@ -63,6 +74,7 @@ impl SimulatedAxis for MachineSpec {
                 bounds: given.unwrap_or((nominal * low, nominal * high)),
                 scale: Scale::Logarithmic,
                 sigma: Some(given.map_or(*sigma, |bounds| prior_within(bounds, *sigma))),
+                hardly_told: hardly_told && given.is_none(),
             })
         });
         let (most, sigma) = RETURN_PRESSURE_PA;
@@ -73,6 +85,7 @@ impl SimulatedAxis for MachineSpec {
             bounds: self.bounds_of(key).unwrap_or((0.0, most)),
             scale: Scale::Linear(sigma),
             sigma: Some(1.0),
+            hardly_told: false,
         };
         by_factor.chain([returned]).collect()
     }
@@ -87,6 +100,7 @@ impl SimulatedAxis for MachineSpec {
             bounds,
             scale: Scale::Linear(valve * LEAK_M2.1),
             sigma: None,
+            hardly_told: false,
         })
     }
 

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use crate::simulate::BinnedSignals;
+use crate::transducers::SensorError;
 
 /// `seepd.gap/1`.
 #[derive(Debug, Clone, Serialize)]
@@ -45,6 +46,8 @@ pub struct Diagnosis {
     pub leak: Leaks,
     /// What would tell apart what this log cannot.
     pub distinguish: Vec<String>,
+    /// How far each pressure's sensor is most likely off, beside the machine as diagnosed.
+    pub sensors: BTreeMap<&'static str, SensorError>,
     /// What to know of the log.
     pub notes: Vec<String>,
     /// What was recorded and simulated, for plots.

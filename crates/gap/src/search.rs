@@ -40,6 +40,9 @@ pub(crate) struct SearchResult<A> {
     pub(crate) explanations: Vec<Explanation<A>>,
 }
 
+/// Iterations after which fits are compared, and how many of them go on.
+const FIRST_ITERATIONS: usize = 3;
+const FINISHED: usize = 4;
 /// Effects that are fitted from both machines.
 const TWICE: usize = 3;
 /// Share of the cost below which another calibration is worth another round of fits.
@@ -126,19 +129,20 @@ fn single_effects<A: SimulatedAxis>(
     far: &[Candidate],
     settings: &DiagnosisSettings,
 ) -> Vec<Explanation<A>> {
-    let fit = |(candidate, from_afar): &(&Candidate, bool)| {
+    let begun = |(candidate, from_afar): &(&Candidate, bool)| {
         let start = if *from_afar { untouched } else { calibrated };
         let fit = beside(problem, start, candidate.effect, &candidate.values);
         if *from_afar || (0..candidate.effect.parameters.len()).any(|index| candidate.effect.is_time(index)) {
-            fit.fitted_from_afar(problem, settings.iterations)
+            fit.fitted_from_afar(problem, FIRST_ITERATIONS)
         } else {
-            fit.fitted(problem, settings.iterations)
+            fit.fitted(problem, FIRST_ITERATIONS)
         }
     };
     let mut starts: Vec<(&Candidate, bool)> = near.iter().take(settings.fitted).map(|c| (c, false)).collect();
     starts.extend(far.iter().take(settings.fitted).map(|c| (c, true)));
     let mut fits: Vec<Explanation<A>> = Vec::new();
-    keep_better(&mut fits, starts.iter().zip(starts.par_iter().map(fit).collect::<Vec<_>>()));
+    let first = starts.par_iter().map(begun).collect::<Vec<_>>();
+    keep_better(&mut fits, starts.iter().zip(finished(problem, first, settings)));
     fits.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
     let best: Vec<&str> = fits.iter().take(TWICE).map(|one| one.effects[0].key).collect();
     let untried = |(candidate, from_afar): &(&Candidate, bool)| {
@@ -147,8 +151,24 @@ fn single_effects<A: SimulatedAxis>(
     };
     let others = near.iter().map(|c| (c, false)).chain(far.iter().map(|c| (c, true)));
     let more: Vec<(&Candidate, bool)> = others.filter(untried).collect();
-    keep_better(&mut fits, more.iter().zip(more.par_iter().map(fit).collect::<Vec<_>>()));
+    let further = more.par_iter().map(begun).collect::<Vec<_>>();
+    keep_better(&mut fits, more.iter().zip(finished(problem, further, settings)));
     fits.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+    fits
+}
+
+/// Takes the best of some fits to their end; the others cannot win any more.
+fn finished<A: SimulatedAxis>(
+    problem: &Problem<'_>,
+    mut fits: Vec<Fit<A>>,
+    settings: &DiagnosisSettings,
+) -> Vec<Fit<A>> {
+    let mut costs: Vec<f64> = fits.iter().map(|fit| fit.cost).collect();
+    costs.sort_by(f64::total_cmp);
+    let last = costs.get(FINISHED - 1).copied().unwrap_or(f64::INFINITY);
+    fits.par_iter_mut().filter(|fit| fit.cost <= last).for_each(|fit| {
+        *fit = fit.clone().fitted(problem, settings.iterations.saturating_sub(FIRST_ITERATIONS));
+    });
     fits
 }
 

@@ -1,12 +1,16 @@
 //! How far the gap shrinks on cycles that nothing was fitted to, and which effect takes which part of it.
 
+use std::rc::Rc;
+
+use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
 
-use crate::fit::{Fit, Problem};
+use crate::fit::{Fit, INDEPENDENT, MODEL_ERROR, Problem};
 use crate::record::{BINS, Record};
 use crate::search::Explanation;
 use crate::simulate::{BinnedSignals, binned_signals};
 use crate::simulated_axis::SimulatedAxis;
+use crate::transducers::{SensorError, most_likely};
 
 /// Signals whose nominal gap exceeds this many floors count in the shrink.
 const FLOORS: f64 = 1.5;
@@ -20,27 +24,76 @@ pub(crate) struct HeldOut<'r> {
 }
 
 impl HeldOut<'_> {
-    /// RMS over range, by machine and signal, each cycle against its own simulation.
+    /// RMS over range, by machine and signal, each cycle against its own simulation, beside what the sensors' classes explain.
     pub(crate) fn gaps<A: SimulatedAxis>(&self, machines: &[A]) -> Vec<Vec<f64>> {
-        let record = self.record;
-        let mut sums = vec![vec![0.0; record.signals.len()]; machines.len()];
-        let mut simulated: Option<(&[DriveSample], Vec<BinnedSignals>)> = None;
+        let simulated = self.simulated(machines);
+        (0..machines.len())
+            .map(|machine| {
+                let errors = self.sensor_errors(&simulated, machine);
+                self.record
+                    .range
+                    .iter()
+                    .enumerate()
+                    .map(|(signal, range)| {
+                        let error = errors[signal].unwrap_or(SensorError { gain: 0.0, zero: 0.0 });
+                        let shown = |there: f64| there * (1.0 + error.gain) + error.zero;
+                        let pairs = self.values(&simulated, machine, signal);
+                        let square: f64 =
+                            pairs.map(|(recorded, there)| (recorded - shown(there)).powi(2)).sum();
+                        (square / (self.cycles.len() * BINS) as f64).sqrt() / range
+                    })
+                    .collect()
+            })
+            .collect()
+    }
+
+    /// How far each signal's sensor is most likely off, if the machine is that one.
+    pub(crate) fn sensors<A: SimulatedAxis>(&self, machine: &A) -> Vec<Option<SensorError>> {
+        self.sensor_errors(&self.simulated(std::slice::from_ref(machine)), 0)
+    }
+
+    /// What each machine shows along each cycle's drive; cycles with the very same drive share it.
+    fn simulated<A: SimulatedAxis>(&self, machines: &[A]) -> Vec<Rc<Vec<BinnedSignals>>> {
+        let mut simulated: Vec<Rc<Vec<BinnedSignals>>> = Vec::with_capacity(self.cycles.len());
+        let mut last: Option<&[DriveSample]> = None;
         for cycle in self.cycles {
-            let cycle = &record.cycles[*cycle];
-            // Cycles with the very same drive have the very same simulation.
-            if simulated.as_ref().is_none_or(|(drive, _)| *drive != cycle.drive) {
-                simulated = Some((&cycle.drive, binned_signals(machines, &cycle.drive, &record.signals)));
-            }
-            let Some((_, shown)) = &simulated else { continue };
-            for (sums, view) in sums.iter_mut().zip(shown) {
-                for (sum, (simulated, recorded)) in sums.iter_mut().zip(view.iter().zip(&cycle.bins)) {
-                    *sum += simulated.iter().zip(recorded).map(|(a, b)| (a - b).powi(2)).sum::<f64>();
-                }
-            }
+            let drive = &self.record.cycles[*cycle].drive;
+            let same = simulated.last().filter(|_| last == Some(drive.as_slice())).cloned();
+            let shown =
+                same.unwrap_or_else(|| Rc::new(binned_signals(machines, drive, &self.record.signals)));
+            simulated.push(shown);
+            last = Some(drive);
         }
-        let count = (self.cycles.len() * BINS) as f64;
-        let rms = |(sum, range): (&f64, &f64)| (sum / count).sqrt() / range;
-        sums.iter().map(|sums| sums.iter().zip(&record.range).map(rms).collect()).collect()
+        simulated
+    }
+
+    /// Recorded and simulated values of a signal over all cycles.
+    fn values<'v>(
+        &'v self,
+        simulated: &'v [Rc<Vec<BinnedSignals>>],
+        machine: usize,
+        signal: usize,
+    ) -> impl Iterator<Item = (f64, f64)> + 'v {
+        self.cycles.iter().zip(simulated).flat_map(move |(cycle, shown)| {
+            let recorded = &self.record.cycles[*cycle].bins[signal];
+            recorded.iter().copied().zip(shown[machine][signal].iter().copied())
+        })
+    }
+
+    fn sensor_errors(
+        &self,
+        simulated: &[Rc<Vec<BinnedSignals>>],
+        machine: usize,
+    ) -> Vec<Option<SensorError>> {
+        let record = self.record;
+        let of = |(signal, kind): (usize, &Signal)| {
+            let (recorded, there): (Vec<f64>, Vec<f64>) = self.values(simulated, machine, signal).unzip();
+            let expected = record.floor[signal].hypot(MODEL_ERROR) * record.range[signal];
+            // As many independent values as a fit counts.
+            let values = recorded.len() as f64;
+            most_likely(*kind, &recorded, &there, expected * (values / INDEPENDENT).sqrt())
+        };
+        record.signals.iter().enumerate().map(of).collect()
     }
 
     /// Mean over signals with a gap of what is gone of it; of what is above the floor, or of the whole.
@@ -58,15 +111,20 @@ impl HeldOut<'_> {
 
 /// The part of the shrink that each effect of a machine has, beyond calibration: its Shapley value (Shapley, Contributions to the Theory of
 /// Games II (1953)) over the machines with fewer of the effects, each fitted anew. Parts add up.
+/// What none and all of them are worth is known.
 pub(crate) fn attributed<A: SimulatedAxis>(
     problem: &Problem<'_>,
     held_out: &HeldOut<'_>,
     nominal: &[f64],
+    (worth_of_none, worth_of_all): (f64, f64),
     calibrated: &Fit<A>,
     chosen: &Explanation<A>,
     iterations: usize,
 ) -> Vec<f64> {
     let count = chosen.effects.len();
+    if count == 1 {
+        return vec![worth_of_all - worth_of_none];
+    }
     let all = (1usize << count) - 1;
     let machines: Vec<A> = (0..=all)
         .map(|subset| match subset {

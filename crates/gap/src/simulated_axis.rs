@@ -26,6 +26,8 @@ pub struct CalibratedParameter {
     pub scale: Scale,
     /// Standard deviation of what is known of it beforehand, on its scale; `None` for nothing.
     pub sigma: Option<f64>,
+    /// Whether logs hardly tell it. A diagnosis frees it, so that no effect is called for it; a calibration leaves it.
+    pub hardly_told: bool,
 }
 
 /// How a parameter is counted in a fit.

@@ -1,0 +1,142 @@
+//! Pressure transducers as they are bought: gain and zero of each are off by what its class allows, which is no gap of the plant.
+//!
+//! Both act on what is recorded along two known shapes, the recorded signal and a constant, so that they are integrated out instead of fitted:
+//! differences are weighed by the inverse of 1 + N Nᵀ, N the shapes times their standard deviations (Kennedy and O'Hagan, Journal of the Royal
+//! Statistical Society B 63 (2001), for a discrepancy of known form).
+
+use seepd_signals::Signal;
+
+/// What a class of sensors leaves open, one standard deviation.
+#[derive(Debug, Clone, Copy)]
+struct Class {
+    /// Of the gain, share.
+    gain: f64,
+    /// Of the zero, SI.
+    zero: f64,
+}
+
+/// Class 0.5 of 100 bar: what common transducers are good for over their life.
+const PRESSURE: Class = Class { gain: 5e-3, zero: 5e4 };
+
+/// The class of a signal's sensor. Position and command are in the loop: what is off there acts on the machine, and stands in the catalogue.
+fn class_of(signal: Signal) -> Option<Class> {
+    matches!(signal, Signal::PSupply | Signal::PInlet | Signal::PCap | Signal::PRod).then_some(PRESSURE)
+}
+
+/// How far a sensor is off.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+pub struct SensorError {
+    /// Shown over true, less 1.
+    pub gain: f64,
+    /// Shown at 0, SI.
+    pub zero: f64,
+}
+
+impl SensorError {
+    /// How many standard deviations of its class it is off by.
+    pub(crate) fn of_its_class(self, signal: Signal) -> f64 {
+        class_of(signal).map_or(0.0, |class| (self.gain / class.gain).hypot(self.zero / class.zero))
+    }
+}
+
+/// What a signal's sensor may add to weighted differences: two shapes of length 1, and how much of each is taken off.
+#[derive(Debug, Clone)]
+pub(crate) struct Allowance {
+    shapes: [Vec<f64>; 2],
+    taken: [f64; 2],
+}
+
+impl Allowance {
+    /// Of a signal's recorded values, whose differences are multiplied by that weight; `None` for a signal whose sensor has no class.
+    pub(crate) fn new(signal: Signal, recorded: &[f64], weight: f64) -> Option<Self> {
+        let class = class_of(signal)?;
+        let scaled: Vec<f64> = recorded.iter().map(|value| value * weight * class.gain).collect();
+        let level = weight * class.zero;
+        // The eigenvectors of NᵀN, a symmetric matrix of two rows.
+        let (a, d) =
+            (scaled.iter().map(|value| value * value).sum::<f64>(), level * level * scaled.len() as f64);
+        let b = level * scaled.iter().sum::<f64>();
+        let angle = 0.5 * (2.0 * b).atan2(a - d);
+        let along = |angle: f64| {
+            let (sine, cosine) = angle.sin_cos();
+            let shape: Vec<f64> = scaled.iter().map(|value| cosine * value + sine * level).collect();
+            let square: f64 = shape.iter().map(|value| value * value).sum();
+            let length = square.sqrt().max(f64::MIN_POSITIVE);
+            (shape.into_iter().map(|value| value / length).collect(), 1.0 - 1.0 / (1.0 + square).sqrt())
+        };
+        let (first, second): ((Vec<f64>, f64), (Vec<f64>, f64)) =
+            (along(angle), along(angle + std::f64::consts::FRAC_PI_2));
+        Some(Allowance { shapes: [first.0, second.0], taken: [first.1, second.1] })
+    }
+
+    /// Takes off what the sensor explains, as far as its class allows it.
+    pub(crate) fn take_off(&self, differences: &mut [f64]) {
+        for (shape, taken) in self.shapes.iter().zip(self.taken) {
+            let along: f64 = shape.iter().zip(differences.iter()).map(|(a, b)| a * b).sum();
+            for (difference, shape) in differences.iter_mut().zip(shape) {
+                *difference -= taken * along * shape;
+            }
+        }
+    }
+}
+
+/// The most likely error of a signal's sensor, given what is recorded and what was there, with the standard deviation of what else is different in
+/// each value; none for a signal whose sensor has no class.
+pub(crate) fn most_likely(
+    signal: Signal,
+    recorded: &[f64],
+    there: &[f64],
+    sigma: f64,
+) -> Option<SensorError> {
+    let class = class_of(signal)?;
+    let weight = (sigma * sigma).max(f64::MIN_POSITIVE).recip();
+    let (mut gg, mut gz, mut zz) = (class.gain.powi(-2), 0.0, class.zero.powi(-2));
+    let (mut g, mut z) = (0.0, 0.0);
+    for (recorded, there) in recorded.iter().zip(there) {
+        let difference = recorded - there;
+        gg += weight * there * there;
+        gz += weight * there;
+        zz += weight;
+        g += weight * there * difference;
+        z += weight * difference;
+    }
+    let determinant = gg * zz - gz * gz;
+    let error = SensorError { gain: (g * zz - z * gz) / determinant, zero: (gg * z - gz * g) / determinant };
+    (error.gain.is_finite() && error.zero.is_finite()).then_some(error)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn recorded() -> Vec<f64> {
+        (0..500).map(|bin| 5e6 + 4e6 * (f64::from(bin) * 0.05).sin()).collect()
+    }
+
+    #[test]
+    fn what_is_taken_off_is_the_inverse_covariance() {
+        let (recorded, weight) = (recorded(), 2e-6);
+        let allowance = Allowance::new(Signal::PCap, &recorded, weight).unwrap();
+        let differences: Vec<f64> = (0..500).map(|bin| (f64::from(bin) * 0.31).cos() + 0.7).collect();
+        let mut taken = differences.clone();
+        allowance.take_off(&mut taken);
+        // r′ᵀr′ = rᵀ (1 + N Nᵀ)⁻¹ r, by the matrix itself.
+        let shapes = nalgebra::DMatrix::from_fn(500, 2, |row, column| {
+            weight * if column == 0 { recorded[row] * PRESSURE.gain } else { PRESSURE.zero }
+        });
+        let covariance = nalgebra::DMatrix::identity(500, 500) + &shapes * shapes.transpose();
+        let r = nalgebra::DVector::from_vec(differences);
+        let expected = r.dot(&covariance.cholesky().unwrap().solve(&r));
+        let found: f64 = taken.iter().map(|value| value * value).sum();
+        assert!((found / expected - 1.0).abs() < 1e-9, "{found} {expected}");
+    }
+
+    #[test]
+    fn a_transducers_error_comes_back() {
+        let there = recorded();
+        let shown: Vec<f64> = there.iter().map(|value| 1.004 * value - 3e4).collect();
+        let error = most_likely(Signal::PRod, &shown, &there, 1e3).unwrap();
+        assert!((error.gain - 0.004).abs() < 1e-5 && (error.zero + 3e4).abs() < 1e2, "{error:?}");
+        assert_eq!(most_likely(Signal::Position, &shown, &there, 1e3), None);
+    }
+}
