@@ -46,6 +46,10 @@ const CHOSEN: f64 = 0.5;
 const EQUIVALENT: f64 = 0.97;
 /// Share of the best machine's probability from which another that looks like it is as good.
 const ALIKE: f64 = 0.5;
+/// Standard deviations of its class from which a transducer is worth a check.
+const BEYOND_ITS_CLASS: f64 = 2.0;
+/// Share of the held-out gap, in squares, that a machine's last effect has to leave at most.
+const BORNE_OUT: f64 = 0.9;
 /// Signature, in expected errors, below which an effect cannot be seen.
 const VISIBLE: f64 = 2.0;
 
@@ -69,11 +73,12 @@ pub fn diagnose<A: SimulatedAxis>(
         || screen(&problem, &untouched, &settings.without),
     );
     tell(2);
-    let found = search(&problem, &untouched, calibrated, &far, settings);
+    let mut found = search(&problem, &untouched, calibrated, &far, settings);
+    let held_out = HeldOut { record, cycles: &held_out };
+    borne_out(&held_out, &mut found.explanations);
     tell(3);
     let ranked = RankedExplanations::new(&problem, found);
     let (verdict, reason) = verdict(&problem, record, &nominal, &ranked);
-    let held_out = HeldOut { record, cycles: &held_out };
     let told = DiagnosisInputs {
         record,
         spec,
@@ -86,6 +91,27 @@ pub fn diagnose<A: SimulatedAxis>(
     tell(STEPS);
     let machine = told.chosen(verdict).spec.clone();
     (diagnosis, machine)
+}
+
+/// Keeps, of machines with several effects, those whose last one takes something of the gap on the held-out cycles as well.
+fn borne_out<A: SimulatedAxis>(held_out: &HeldOut<'_>, explanations: &mut Vec<Explanation<A>>) {
+    let machines: Vec<A> = explanations.iter().map(|one| one.fit.spec.clone()).collect();
+    if explanations.iter().all(|one| one.effects.len() == 1) {
+        return;
+    }
+    let left: Vec<f64> = held_out.gaps(&machines).iter().map(|gaps| held_out.beyond_expected(gaps)).collect();
+    let key = |effects: &[&'static EffectInfo]| effects.iter().map(|effect| effect.key).collect::<Vec<_>>();
+    let base_of = |one: &Explanation<A>| {
+        let (_, before) = one.effects.split_last()?;
+        explanations.iter().position(|other| key(&other.effects) == key(before))
+    };
+    let kept: Vec<bool> = explanations
+        .iter()
+        .zip(&left)
+        .map(|(one, left_of_it)| base_of(one).is_none_or(|base| *left_of_it < BORNE_OUT * left[base]))
+        .collect();
+    let mut kept = kept.into_iter();
+    explanations.retain(|_| kept.next().unwrap_or(true));
 }
 
 /// Gap of a machine in which wear alone is fitted, by signal, on the cycles that a diagnosis holds out.
@@ -378,7 +404,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             distinguish: distinguish::<A>(record, &findings, &ranked.candidates, verdict),
             effects: findings,
             sensors: self.sensors(&chosen.spec),
-            notes: record.notes.clone(),
+            notes: self.notes(&chosen.spec),
             curves: self.curves(&machines[..3]),
         }
     }
@@ -426,6 +452,23 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             }
         }
         told
+    }
+
+    /// What there is to know of the log, with the transducers that are further off than their class allows.
+    fn notes(&self, machine: &A) -> Vec<String> {
+        let mut notes = self.record.notes.clone();
+        for (signal, error) in self.record.signals.iter().zip(self.held_out.sensors(machine)) {
+            let Some(error) = error.filter(|error| error.of_its_class(*signal) > BEYOND_ITS_CLASS) else {
+                continue;
+            };
+            notes.push(format!(
+                "the transducer of {} seems to be off by {:+.1} % and {:+.1} bar, more than one of class 0.5 should be: check it",
+                signal.name(),
+                100.0 * error.gain,
+                1e-5 * error.zero
+            ));
+        }
+        notes
     }
 
     /// What the sensors' classes take of the difference to the machine as diagnosed.

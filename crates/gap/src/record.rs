@@ -37,6 +37,46 @@ impl Log {
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
+
+    /// The log with a value at every tick for signals that were recorded at a lower rate, and the largest usual distance of two values, in ticks.
+    /// Values further apart than twice the usual, or than `most` ticks, keep their gap.
+    fn at_every_tick(&self, most: usize) -> (Self, usize) {
+        let mut filled = self.clone();
+        let mut slowest = 1;
+        for values in &mut filled.values {
+            let usual = usual_distance(values);
+            if usual > 1 && usual <= most {
+                slowest = slowest.max(usual);
+                fill(values, 2 * usual);
+            }
+        }
+        (filled, slowest)
+    }
+}
+
+/// Ticks from one finite value to the next, their median.
+fn usual_distance(values: &[f64]) -> usize {
+    let recorded: Vec<usize> = (0..values.len()).filter(|tick| values[*tick].is_finite()).collect();
+    let mut distances: Vec<usize> = recorded.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    distances.sort_unstable();
+    distances.get(distances.len() / 2).copied().unwrap_or(0)
+}
+
+/// Puts values between finite ones that are at most so far apart on straight lines.
+fn fill(values: &mut [f64], furthest: usize) {
+    let mut last: Option<usize> = None;
+    for tick in 0..values.len() {
+        if !values[tick].is_finite() {
+            continue;
+        }
+        if let Some(last) = last.filter(|last| tick - last <= furthest) {
+            let (from, to) = (values[last], values[tick]);
+            for between in last + 1..tick {
+                values[between] = from + (to - from) * (between - last) as f64 / (tick - last) as f64;
+            }
+        }
+        last = Some(tick);
+    }
 }
 
 /// Why a log cannot be diagnosed.
@@ -151,6 +191,8 @@ pub struct Record {
     pub notes: Vec<String>,
 }
 
+/// Fewest values of a signal in a cycle: fewer do not tell its strokes.
+const FEWEST_SAMPLES: usize = 200;
 /// Share of samples that may be missing in a cycle, bridged from their neighbours.
 const MISSING_SHARE: f64 = 0.01;
 /// Least correlation of demand (or position) with the plan.
@@ -165,6 +207,13 @@ impl Record {
         check(log, spec)?;
         let mut notes = Vec::new();
         let ticks = (spec.duty_cycle().period_s / spec.tick_s()).round() as usize;
+        let (log, slowest) = log.at_every_tick(ticks / FEWEST_SAMPLES);
+        let log = &log;
+        if slowest > 1 {
+            notes.push(format!(
+                "the log has a value every {slowest} ticks of the controller or so; those between are taken on straight lines"
+            ));
+        }
         let plan: Vec<f64> =
             (0..ticks).map(|tick| spec.duty_cycle().demand_m(tick as f64 * spec.tick_s())).collect();
         let asked = match (log.get(Signal::Demand), log.get(Signal::Command), log.get(Signal::Position)) {

@@ -47,6 +47,14 @@ impl HeldOut<'_> {
             .collect()
     }
 
+    /// Sum over signals of the gap beyond the floor, in squares of what is expected of a model.
+    pub(crate) fn beyond_expected(&self, gaps: &[f64]) -> f64 {
+        let of = |(gap, floor): (&f64, &f64)| {
+            (gap * gap - floor * floor).max(0.0) / floor.hypot(MODEL_ERROR).powi(2)
+        };
+        gaps.iter().zip(&self.record.floor).map(of).sum()
+    }
+
     /// How far each signal's sensor is most likely off, if the machine is that one.
     pub(crate) fn sensors<A: SimulatedAxis>(&self, machine: &A) -> Vec<Option<SensorError>> {
         self.sensor_errors(&self.simulated(std::slice::from_ref(machine)), 0)
@@ -103,7 +111,11 @@ impl HeldOut<'_> {
             .zip(now)
             .zip(&self.record.floor)
             .filter(|((nominal, _), floor)| **nominal > FLOORS * **floor)
-            .map(|((nominal, now), floor)| (nominal - now) / (nominal - if to_floor { *floor } else { 0.0 }))
+            .map(|((nominal, now), floor)| {
+                let most = nominal - if to_floor { *floor } else { 0.0 };
+                // What the sensors may be off by can go below the floor.
+                ((nominal - now) / most).min(1.0)
+            })
             .collect();
         if shares.is_empty() { 0.0 } else { shares.iter().sum::<f64>() / shares.len() as f64 }
     }
