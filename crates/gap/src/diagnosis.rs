@@ -5,12 +5,14 @@ use std::collections::BTreeMap;
 use seepd_sim::effects::EffectInfo;
 use seepd_sim::real::LANES;
 
-use crate::fit::{Fit, Problem, Target, free_parameters};
+use crate::course::{ChangeKind, change};
+use crate::fit::{Fit, Problem, Target, free_parameters, of_effect, values_of};
 use crate::places::{phase_spans, places};
 use crate::rank::{Ranking, rank};
 use crate::record::{BINS, ENOUGH_CYCLES, Record};
 use crate::report::{
-    CalibratedValue, Curves, CycleCounts, Diagnosis, Gaps, Leaks, Place, RankedEffect, Shrink, Verdict,
+    CalibratedValue, ChangeWithin, Curves, CycleCounts, Diagnosis, Gaps, Leaks, Place, RankedEffect, Shrink,
+    Verdict,
 };
 use crate::screen::{CalibrationProjector, Candidate, screen};
 use crate::search::{Explanation, SearchResult, search};
@@ -53,11 +55,69 @@ const BORNE_OUT: f64 = 0.9;
 /// Signature, in expected errors, below which an effect cannot be seen.
 const VISIBLE: f64 = 2.0;
 
-/// Diagnoses a record against a machine, and gives the machine as diagnosed: calibrated, with the effects that were found. `tell` is called
-/// with the number of finished steps, of [`STEPS`].
+/// Diagnoses a record against a machine, and gives the machine as diagnosed: calibrated, with the effects that were found. Where the machine
+/// changed within the record, it is diagnosed as it is in the end. `tell` is called with the number of finished steps, of [`STEPS`].
 ///
 /// The [crate's page](crate) has an example.
 pub fn diagnose<A: SimulatedAxis>(
+    record: &Record,
+    spec: &A,
+    settings: &DiagnosisSettings,
+    tell: &mut dyn FnMut(usize),
+) -> (Diagnosis, A) {
+    let Some(change) = change(record) else { return diagnose_unchanged(record, spec, settings, tell) };
+    let after = record.part(change.from..record.cycles.len());
+    let (mut diagnosis, machine) = diagnose_unchanged(&after, spec, settings, tell);
+    let before = record.part(0..change.before);
+    let within = ChangeWithin {
+        kind: change.kind,
+        from_cycle: change.from + 1,
+        before: effects_before(&before, &machine, &diagnosis.chosen, settings.iterations),
+    };
+    diagnosis.notes.insert(0, told_change(&within, record.cycles.len()));
+    diagnosis.change = Some(within);
+    (diagnosis, machine)
+}
+
+/// What the chosen effects' values were in another part of the record, on the machine as diagnosed otherwise.
+fn effects_before<A: SimulatedAxis>(
+    record: &Record,
+    machine: &A,
+    chosen: &[&'static str],
+    iterations: usize,
+) -> BTreeMap<&'static str, BTreeMap<&'static str, f64>> {
+    let cycles: Vec<usize> = (0..record.cycles.len()).collect();
+    let problem = Problem::new(record, &cycles);
+    let effects: Vec<&'static EffectInfo> =
+        A::catalogue().into_iter().filter(|effect| chosen.contains(&effect.key)).collect();
+    let free = effects.iter().flat_map(|effect| of_effect(effect, machine)).collect();
+    let fit = Fit::at(&problem, machine, free).fitted_from_afar(&problem, iterations);
+    let values = |effect: &&'static EffectInfo| {
+        let names = effect.parameters.iter().map(|parameter| parameter.name);
+        (effect.key, names.zip(values_of(effect, &fit.spec)).collect())
+    };
+    effects.iter().map(values).collect()
+}
+
+fn told_change(change: &ChangeWithin, cycles: usize) -> String {
+    let how = match change.kind {
+        ChangeKind::Step => format!("the machine changed before cycle {} of {cycles}", change.from_cycle),
+        ChangeKind::Drift => format!("the machine drifts over the {cycles} cycles"),
+    };
+    let before: Vec<String> = change
+        .before
+        .iter()
+        .flat_map(|(effect, values)| {
+            values.iter().map(move |(name, value)| format!("{effect}.{name} {value:.4}"))
+        })
+        .collect();
+    let before =
+        if before.is_empty() { String::new() } else { format!("; at the beginning: {}", before.join(", ")) };
+    format!("{how}: diagnosed is what it is from cycle {} on{before}", change.from_cycle)
+}
+
+/// Diagnoses a record whose machine is the same in all of its cycles.
+fn diagnose_unchanged<A: SimulatedAxis>(
     record: &Record,
     spec: &A,
     settings: &DiagnosisSettings,
@@ -154,6 +214,7 @@ pub fn cannot_tell(reason: String) -> Diagnosis {
         leak: Leaks { nominal_m2: f64::NAN, calibrated_m2: f64::NAN, chosen_m2: f64::NAN },
         distinguish: Vec::new(),
         sensors: BTreeMap::new(),
+        change: None,
         notes: Vec::new(),
         curves: Curves::default(),
     }
@@ -404,6 +465,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             distinguish: distinguish::<A>(record, &findings, &ranked.candidates, verdict),
             effects: findings,
             sensors: self.sensors(&chosen.spec),
+            change: None,
             notes: self.notes(&chosen.spec),
             curves: self.curves(&machines[..3]),
         }

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 pub mod calibration;
+pub mod course;
 pub mod diagnosis;
 mod electric;
 mod fit;

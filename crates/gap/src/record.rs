@@ -285,6 +285,19 @@ impl Record {
         Ok(Record { signals, cycles, range, floor, notes })
     }
 
+    /// Some of its cycles as a record of their own, with their own floor.
+    pub(crate) fn part(&self, cycles: std::ops::Range<usize>) -> Self {
+        let cycles = self.cycles[cycles].to_vec();
+        let floor = floors(&cycles, &self.range);
+        Record {
+            signals: self.signals.clone(),
+            cycles,
+            range: self.range.clone(),
+            floor,
+            notes: self.notes.clone(),
+        }
+    }
+
     /// Mean of some cycles' bins.
     pub(crate) fn mean(&self, cycles: &[usize]) -> Vec<Vec<f64>> {
         (0..self.signals.len())

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
+use crate::course::ChangeKind;
 use crate::simulate::BinnedSignals;
 use crate::transducers::SensorError;
 
@@ -48,6 +49,8 @@ pub struct Diagnosis {
     pub distinguish: Vec<String>,
     /// How far each pressure's sensor is most likely off, beside the machine as diagnosed.
     pub sensors: BTreeMap<&'static str, SensorError>,
+    /// How the machine changed within the log; what is diagnosed then is the machine as it is at its end.
+    pub change: Option<ChangeWithin>,
     /// What to know of the log.
     pub notes: Vec<String>,
     /// What was recorded and simulated, for plots.
@@ -70,6 +73,17 @@ pub struct Curves {
     pub chosen: BinnedSignals,
     /// Name of each phase with its start and end, s.
     pub phases: Vec<(&'static str, f64, f64)>,
+}
+
+/// A change within a log.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ChangeWithin {
+    /// A step or a drift.
+    pub kind: ChangeKind,
+    /// Number of the first cycle of the machine as diagnosed, from 1, among those used.
+    pub from_cycle: usize,
+    /// Values of the chosen effects before it, of a drift at its beginning, by effect and parameter.
+    pub before: BTreeMap<&'static str, BTreeMap<&'static str, f64>>,
 }
 
 /// Numbers of cycles.
