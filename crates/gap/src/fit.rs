@@ -275,6 +275,13 @@ impl<'r> Problem<'r> {
         powers
     }
 
+    /// Weighted differences of the signal that is furthest off, along the first drive.
+    pub(crate) fn furthest_off<'d>(&self, residual: &'d DVector<f64>) -> &'d [f64] {
+        let by_signal = self.by_signal(residual);
+        let worst = (0..by_signal.len()).max_by(|a, b| by_signal[*a].total_cmp(&by_signal[*b])).unwrap_or(0);
+        &residual.as_slice()[worst * BINS..][..BINS]
+    }
+
     /// Mean square of each signal's differences over their expected error.
     pub(crate) fn by_signal(&self, residual: &DVector<f64>) -> Vec<f64> {
         let signals = self.record.signals.len();

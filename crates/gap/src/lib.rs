@@ -8,6 +8,7 @@ mod fit;
 mod places;
 pub mod posterior;
 mod press;
+mod proposals;
 mod rank;
 pub mod record;
 pub mod report;

@@ -1,9 +1,10 @@
 //! Which effects are worth a fit: what each explains of the gap beyond what calibration explains.
 
 use nalgebra::{DMatrix, DVector};
-use seepd_sim::effects::EffectInfo;
+use seepd_sim::effects::{EffectInfo, Parameter};
 
 use crate::fit::{Fit, Problem, normal_matrix};
+use crate::proposals::{events, pitches};
 use crate::simulated_axis::SimulatedAxis;
 
 /// An effect at the strength at which it explains most.
@@ -28,11 +29,9 @@ const DECADES: [f64; 5] = [0.02, 0.05, 0.1, 0.3, 0.7];
 const BESIDE: [f64; 2] = [0.15, 0.6];
 /// Levels of a size beside places, times or waves, which are tried at many: how much of it follows from the projection.
 const ONE_SIZE: [f64; 1] = [0.2];
-/// How many starts, and how many pitches.
-const STARTS: usize = 16;
-const PITCHES: usize = 8;
-/// Pitches of which those are chosen: near enough that over half a metre the nearest is a quarter of a wave off at most.
-const WAVES: usize = 192;
+/// How many starts beside those that the differences propose, and how long an event is there.
+const STARTS: usize = 12;
+const USUAL_DURATION: f64 = 0.09;
 
 /// Screens the catalogue, but for some effects, on the calibrated machine; the most promising first.
 pub(crate) fn screen<A: SimulatedAxis>(
@@ -45,7 +44,7 @@ pub(crate) fn screen<A: SimulatedAxis>(
         // What the plant file has already is part of the plant.
         if !calibrated.spec.effects().contains_key(effect.key) && !without.iter().any(|key| key == effect.key)
         {
-            let levels = levels(effect, &calibrated.spec, &|range| pitches(problem, calibrated, range));
+            let levels = levels(effect, problem, calibrated);
             tried.extend(levels.into_iter().map(|values| (effect, values)));
         }
     }
@@ -81,66 +80,68 @@ pub(crate) fn with<A: SimulatedAxis>(spec: &A, effect: &EffectInfo, values: &[f6
     spec
 }
 
-/// Pitches of the strongest waves over the position that are left of the recorded position, the strongest of each octave or so among them: an
-/// error of the position's sensor keeps its pitch whatever the loop makes of its size.
-fn pitches<A: SimulatedAxis>(
-    problem: &Problem<'_>,
-    calibrated: &Fit<A>,
-    (low, high): (f64, f64),
-) -> Vec<f64> {
-    let waves_per_m: Vec<f64> = (0..WAVES)
-        .map(|wave| 1.0 / high + (wave as f64 + 0.5) / WAVES as f64 * (1.0 / low - 1.0 / high))
-        .collect();
-    let powers = problem.waves_over_position(&calibrated.residual, &waves_per_m);
-    let is_peak = |wave: usize| {
-        let beside = wave.saturating_sub(1)..(wave + 2).min(WAVES);
-        beside.into_iter().all(|other| powers[other] <= powers[wave])
-    };
-    let mut peaks: Vec<usize> = (0..WAVES).filter(|wave| is_peak(*wave)).collect();
-    peaks.sort_by(|a, b| powers[*b].total_cmp(&powers[*a]));
-    peaks.into_iter().take(PITCHES).map(|wave| 1.0 / waves_per_m[wave]).collect()
-}
-
-/// Combinations of the parameters' levels; those of a pitch are asked for.
+/// Combinations of the parameters' levels; those of pitches and of events' times are what the differences propose.
 fn levels<A: SimulatedAxis>(
     effect: &EffectInfo,
-    spec: &A,
-    pitches: &dyn Fn((f64, f64)) -> Vec<f64>,
+    problem: &Problem<'_>,
+    calibrated: &Fit<A>,
 ) -> Vec<Vec<f64>> {
+    let spec = &calibrated.spec;
+    let is_event = (0..effect.parameters.len()).any(|index| effect.is_time(index));
+    let is_wave = effect.parameters.iter().any(|parameter| parameter.name == "pitch_m");
     let mut combinations: Vec<Vec<f64>> = vec![Vec::new()];
     for (index, parameter) in effect.parameters.iter().enumerate() {
         let (low, high) = spec.range(effect, parameter);
         let inside = low < parameter.neutral && parameter.neutral < high;
-        let many = effect.parameters.iter().any(|parameter| matches!(parameter.name, "start_s" | "pitch_m"));
-        let shares: Vec<f64> = match parameter.name {
-            "start_s" => (0..STARTS).map(|start| (start as f64 + 0.3) / STARTS as f64).collect(),
-            "duration_s" => vec![0.05, 0.12],
-            "pitch_m" => pitches((low, high)).into_iter().map(|pitch| (pitch - low) / (high - low)).collect(),
-            _ if many => ONE_SIZE.to_vec(),
+        let of_share = |share: &f64| low + share * (high - low);
+        let values: Vec<f64> = match parameter.name {
+            // Put in below, where they go together.
+            "start_s" | "duration_s" => vec![parameter.neutral],
+            "pitch_m" => pitches(problem, calibrated, (low, high)),
+            _ if is_event || is_wave => ONE_SIZE.iter().map(of_share).collect(),
             _ if spans_decades(low, high) => {
-                DECADES.iter().map(|share| low * ((high / low).powf(*share) - 1.0) / (high - low)).collect()
+                DECADES.iter().map(|share| low * (high / low).powf(*share)).collect()
             }
-            _ if inside => TWO_SIDED.to_vec(),
-            _ if index == 0 => ONE_SIDED.to_vec(),
-            _ => BESIDE.to_vec(),
+            _ if inside => TWO_SIDED.iter().map(of_share).collect(),
+            _ if index == 0 => ONE_SIDED.iter().map(of_share).collect(),
+            _ => BESIDE.iter().map(of_share).collect(),
         };
-        combinations = combinations
-            .iter()
-            .flat_map(|values| {
-                shares.iter().map(|share| {
-                    let mut values = values.clone();
-                    values.push(low + share * (high - low));
-                    values
-                })
-            })
-            .collect();
+        let extended = |before: &Vec<f64>| {
+            let with = |value: &f64| before.iter().copied().chain([*value]).collect::<Vec<f64>>();
+            values.iter().map(with).collect::<Vec<_>>()
+        };
+        combinations = combinations.iter().flat_map(extended).collect();
     }
-    combinations
+    if is_event { at_times(effect, &combinations, problem, calibrated) } else { combinations }
+}
+
+/// The combinations at every time that an event is tried at.
+fn at_times<A: SimulatedAxis>(
+    effect: &EffectInfo,
+    combinations: &[Vec<f64>],
+    problem: &Problem<'_>,
+    calibrated: &Fit<A>,
+) -> Vec<Vec<f64>> {
+    let period_s = calibrated.spec.duty_cycle().period_s;
+    let usual = (0..STARTS).map(|start| ((start as f64 + 0.3) / STARTS as f64, USUAL_DURATION));
+    let times: Vec<(f64, f64)> = events(problem, calibrated).into_iter().chain(usual).collect();
+    let at = |values: &Vec<f64>| {
+        let put = |(start, duration): &(f64, f64)| {
+            let of = |(parameter, value): (&Parameter, &f64)| match parameter.name {
+                "start_s" => start * period_s,
+                "duration_s" => duration * period_s,
+                _ => *value,
+            };
+            effect.parameters.iter().zip(values).map(of).collect::<Vec<f64>>()
+        };
+        times.iter().map(put).collect::<Vec<_>>()
+    };
+    combinations.iter().flat_map(at).collect()
 }
 
 /// Whether a range is one of orders of magnitude.
 pub(crate) fn spans_decades(low: f64, high: f64) -> bool {
-    low > 0.0 && high > 100.0 * low
+    low > 0.0 && high >= 100.0 * low
 }
 
 /// What is left of a difference once calibration has taken its part.
