@@ -81,7 +81,7 @@ pub fn calibrate<A: SimulatedAxis>(
     let parameters = fit
         .free
         .iter()
-        .zip(fit.estimates())
+        .zip(fit.estimates(&problem))
         .filter_map(|(free, (fitted, interval95))| match free.target {
             Target::Plant(parameter) => {
                 let nominal = spec.parameter(parameter.key);

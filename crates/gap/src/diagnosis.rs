@@ -483,7 +483,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         let own: Vec<(&'static str, Estimate)> = fit
             .free
             .iter()
-            .zip(fit.estimates())
+            .zip(fit.estimates(self.problem))
             .filter_map(|(free, estimate)| match free.target {
                 Target::Effect(of, index) if of.key == effect.key => {
                     Some((of.parameters[index].name, estimate))
@@ -506,7 +506,9 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         let calibrated = &self.ranked.calibrated;
         let wear = self.spec.wear().map(|parameter| parameter.key);
         let mut told = BTreeMap::new();
-        for (parameter, (fitted, interval95)) in calibrated.free.iter().zip(calibrated.estimates()) {
+        for (parameter, (fitted, interval95)) in
+            calibrated.free.iter().zip(calibrated.estimates(self.problem))
+        {
             let Target::Plant(parameter) = parameter.target else { continue };
             if Some(parameter.key) != wear {
                 let nominal = self.spec.parameter(parameter.key);

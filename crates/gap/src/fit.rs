@@ -535,9 +535,12 @@ impl<A: SimulatedAxis> Fit<A> {
         None
     }
 
-    /// Value of each parameter with its 95 % interval, from the covariance of differences and priors.
-    pub(crate) fn estimates(&self) -> Vec<(f64, [f64; 2])> {
-        let covariance = normal_matrix(&self.free, &self.jacobian, 1.0).try_inverse();
+    /// Value of each parameter with its 95 % interval, from the covariance of differences and priors. Differences that the fit leaves beyond
+    /// what is expected of a model make intervals wider by as much (Birge, Physical Review 40 (1932)).
+    pub(crate) fn estimates(&self, problem: &Problem<'_>) -> Vec<(f64, [f64; 2])> {
+        let left = problem.by_signal(&self.residual);
+        let misfit = (left.iter().sum::<f64>() / left.len().max(1) as f64).max(1.0);
+        let covariance = normal_matrix(&self.free, &self.jacobian, 1.0 / misfit).try_inverse();
         let estimate = |(index, parameter): (usize, &Free)| {
             let spread = covariance.as_ref().map_or(f64::INFINITY, |c| c[(index, index)].max(0.0).sqrt());
             let end = |side: f64| {

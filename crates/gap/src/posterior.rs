@@ -22,7 +22,7 @@ pub struct Posterior {
 impl Posterior {
     pub(crate) fn of<A: SimulatedAxis>(fit: &Fit<A>) -> Self {
         Posterior {
-            values: fit.estimates().into_iter().map(|(value, _)| value).collect(),
+            values: fit.free.iter().zip(fit.at.iter()).map(|(free, at)| free.value(*at)).collect(),
             information: fit.jacobian.tr_mul(&fit.jacobian),
             free: fit.free.clone(),
         }
