@@ -70,9 +70,9 @@ fn fill(values: &mut [f64], furthest: usize) {
             continue;
         }
         if let Some(last) = last.filter(|last| tick - last <= furthest) {
-            let (from, to) = (values[last], values[tick]);
-            for between in last + 1..tick {
-                values[between] = from + (to - from) * (between - last) as f64 / (tick - last) as f64;
+            let (from, to, distance) = (values[last], values[tick], (tick - last) as f64);
+            for (index, value) in values[last..tick].iter_mut().enumerate().skip(1) {
+                *value = from + (to - from) * index as f64 / distance;
             }
         }
         last = Some(tick);

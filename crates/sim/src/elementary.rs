@@ -150,7 +150,8 @@ mod tests {
         for step in 0..5_000 {
             let of = |lane: usize| 1e-3 + 0.37 * f64::from(step) * (lane as f64 + 0.5);
             let lanes = Lanes::from_lanes(of);
-            let functions: [(Lanes, fn(f64) -> f64); 4] = [
+            type Alone = fn(f64) -> f64;
+            let functions: [(Lanes, Alone); 4] = [
                 ((-lanes).exp(), |x| exp(-x)),
                 (lanes.ln(), ln),
                 (lanes.tanh(), tanh),
