@@ -509,7 +509,7 @@ fn learned(
     }
     let widened = widened(calibration);
     for (key, fitted) in &calibration.parameters {
-        let Some(value) = values.get_mut(key) else { continue };
+        let Some(value) = values.get_mut(key.as_str()) else { continue };
         let half = 0.5 * (fitted.interval95[1] - fitted.interval95[0]) / 1.96;
         let told = (widened * UNIFORM * half / fitted.fitted).max(LEAST_TOLERANCE);
         let is_told = told < NOT_TOLD * value.tolerance;

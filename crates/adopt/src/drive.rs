@@ -45,7 +45,7 @@ pub fn asked_by_position(spec: &MachineSpec, command: &[f64], position: &[f64]) 
     let twice = |values: &[f64]| [values, values].concat();
     // The first cycle settles the integrator.
     let asked = spec.asked_m(&twice(command), &twice(position));
-    let demand_m = asked[command.len()..].to_vec();
+    let demand_m = asked.and_then(|asked| Some(asked.get(command.len()..)?.to_vec())).unwrap_or_default();
     Asked { demand_m, rest: None, shrunk: 1.0 }
 }
 

@@ -17,7 +17,7 @@ pub struct Calibration<A> {
     /// The machine with the fitted parameters and wear.
     pub machine: A,
     /// The fitted parameters by key, wear among them where it was fitted; effects are in the machine.
-    pub parameters: BTreeMap<&'static str, CalibratedValue>,
+    pub parameters: BTreeMap<String, CalibratedValue>,
     /// RMS over range of the differences on held-out cycles, by signal: before, and after.
     pub gaps: [BTreeMap<&'static str, f64>; 2],
     /// RMS over range of each signal's cycle-to-cycle part.
@@ -64,12 +64,11 @@ pub fn calibrate<A: SimulatedAxis>(
     let (fitted, held_out) = split(record);
     let problem = Problem::new(record, &fitted);
     let wear = spec.wear().map(|parameter| parameter.key);
-    let is_wear =
-        |free: &Free| matches!(free.target, Target::Plant(parameter) if Some(parameter.key) == wear);
+    let is_wear = |free: &Free| matches!(&free.target, Target::Plant(parameter) if Some(&parameter.key) == wear.as_ref());
     let mut free = free_parameters(spec);
     free.retain(|free| (settings.wear || !is_wear(free)) && !free.is_hardly_told());
     let wanted =
-        A::catalogue().into_iter().filter(|effect| settings.effects.iter().any(|key| key == effect.key));
+        spec.catalogue().into_iter().filter(|effect| settings.effects.iter().any(|key| key == effect.key));
     free.extend(wanted.flat_map(|effect| of_effect(effect, spec)));
     for parameter in &mut free {
         if let Some(known) = settings.known.get(&parameter.key()) {
@@ -82,10 +81,10 @@ pub fn calibrate<A: SimulatedAxis>(
         .free
         .iter()
         .zip(fit.estimates(&problem))
-        .filter_map(|(free, (fitted, interval95))| match free.target {
+        .filter_map(|(free, (fitted, interval95))| match &free.target {
             Target::Plant(parameter) => {
-                let nominal = spec.parameter(parameter.key);
-                Some((parameter.key, CalibratedValue { nominal, fitted, interval95 }))
+                let nominal = spec.parameter(&parameter.key);
+                Some((parameter.key.to_string(), CalibratedValue { nominal, fitted, interval95 }))
             }
             Target::Effect(..) => None,
         })

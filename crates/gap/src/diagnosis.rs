@@ -89,7 +89,7 @@ fn effects_before<A: SimulatedAxis>(
     let cycles: Vec<usize> = (0..record.cycles.len()).collect();
     let problem = Problem::new(record, &cycles);
     let effects: Vec<&'static EffectInfo> =
-        A::catalogue().into_iter().filter(|effect| chosen.contains(&effect.key)).collect();
+        machine.catalogue().into_iter().filter(|effect| chosen.contains(&effect.key)).collect();
     let free = effects.iter().flat_map(|effect| of_effect(effect, machine)).collect();
     let fit = Fit::at(&problem, machine, free).fitted_from_afar(&problem, iterations);
     let values = |effect: &&'static EffectInfo| {
@@ -309,8 +309,8 @@ impl<A: SimulatedAxis> RankedExplanations<A> {
     /// Among machines that this log hardly tells apart, the one whose effects come first in the catalogue is named.
     fn prefer_the_common(&mut self) {
         let Some((best, probability)) = self.explanations.first() else { return };
+        let catalogue = best.fit.spec.catalogue();
         let place = |explanation: &Explanation<A>| -> usize {
-            let catalogue = A::catalogue();
             let place_of = |key: &str| catalogue.iter().position(|info| info.key == key).unwrap_or(0);
             explanation.effects.iter().map(|effect| place_of(effect.key)).sum()
         };
@@ -462,7 +462,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
                 calibrated_m2: leak(&calibrated.spec),
                 chosen_m2: leak(&chosen.spec),
             },
-            distinguish: distinguish::<A>(record, &findings, &ranked.candidates, verdict),
+            distinguish: distinguish(self.spec, record, &findings, &ranked.candidates, verdict),
             effects: findings,
             sensors: self.sensors(&chosen.spec),
             change: None,
@@ -484,9 +484,9 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             .free
             .iter()
             .zip(fit.estimates(self.problem))
-            .filter_map(|(free, estimate)| match free.target {
+            .filter_map(|(free, estimate)| match &free.target {
                 Target::Effect(of, index) if of.key == effect.key => {
-                    Some((of.parameters[index].name, estimate))
+                    Some((of.parameters[*index].name, estimate))
                 }
                 _ => None,
             })
@@ -502,17 +502,17 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         }
     }
 
-    fn calibrated_values(&self) -> BTreeMap<&'static str, CalibratedValue> {
+    fn calibrated_values(&self) -> BTreeMap<String, CalibratedValue> {
         let calibrated = &self.ranked.calibrated;
         let wear = self.spec.wear().map(|parameter| parameter.key);
         let mut told = BTreeMap::new();
         for (parameter, (fitted, interval95)) in
             calibrated.free.iter().zip(calibrated.estimates(self.problem))
         {
-            let Target::Plant(parameter) = parameter.target else { continue };
-            if Some(parameter.key) != wear {
-                let nominal = self.spec.parameter(parameter.key);
-                told.insert(parameter.symbol, CalibratedValue { nominal, fitted, interval95 });
+            let Target::Plant(parameter) = &parameter.target else { continue };
+            if Some(&parameter.key) != wear.as_ref() {
+                let nominal = self.spec.parameter(&parameter.key);
+                told.insert(parameter.symbol.to_string(), CalibratedValue { nominal, fitted, interval95 });
             }
         }
         told
@@ -579,18 +579,19 @@ fn to_front<T>(list: &mut [T], index: usize) {
 
 /// What wear has come to; NaN on an axis without.
 fn leak<A: SimulatedAxis>(spec: &A) -> f64 {
-    spec.wear().map_or(f64::NAN, |parameter| spec.parameter(parameter.key))
+    spec.wear().map_or(f64::NAN, |parameter| spec.parameter(&parameter.key))
 }
 
 /// What would tell apart what this log cannot.
 fn distinguish<A: SimulatedAxis>(
+    spec: &A,
     record: &Record,
     effects: &[RankedEffect],
     candidates: &[Candidate],
     verdict: Verdict,
 ) -> Vec<String> {
     let mut told = Vec::new();
-    let pressures = record.signals.len() > 2 || A::signals().len() == 2;
+    let pressures = record.signals.len() > 2 || spec.signals().len() == 2;
     if let Some(best) = effects.first().filter(|best| !best.equivalent.is_empty() && best.probability > 0.1) {
         let others = best.equivalent.join(", ");
         let lags = ["command_delay", "position_lag", "valve_lag"];

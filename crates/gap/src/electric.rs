@@ -15,20 +15,20 @@ use crate::simulated_axis::{CalibratedParameter, EffectValues, Imbalances, Scale
 const REFERENCE_FORCE_N: f64 = 1e3;
 
 impl SimulatedAxis for ElectricAxis {
-    fn catalogue() -> Vec<&'static EffectInfo> {
+    fn catalogue(&self) -> Vec<&'static EffectInfo> {
         CATALOGUE.iter().collect()
     }
 
-    fn signals() -> &'static [Signal] {
-        &[Signal::Command, Signal::Position]
+    fn signals(&self) -> Vec<Signal> {
+        vec![Signal::Command, Signal::Position]
     }
 
     fn calibrated_parameters(&self) -> Vec<CalibratedParameter> {
-        let by_factor = |key, symbol| {
+        let by_factor = |key: &str, symbol: &str| {
             let nominal = self.parameter(key);
             (nominal > 0.0).then_some(CalibratedParameter {
-                key,
-                symbol,
+                key: key.into(),
+                symbol: symbol.into(),
                 bounds: (nominal / 4.0, nominal * 4.0),
                 scale: Scale::Logarithmic,
                 sigma: Some(std::f64::consts::LN_2),
@@ -94,7 +94,7 @@ impl SimulatedAxis for ElectricAxis {
     }
 
     /// The cascade solved for the demand, with the speed over ten ticks.
-    fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Vec<f64> {
+    fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Option<Vec<f64>> {
         const REACH: usize = 5;
         let c = &self.controller;
         let speed = |tick: usize| {
@@ -102,9 +102,9 @@ impl SimulatedAxis for ElectricAxis {
             (position_m[to] - position_m[from]) / ((to - from).max(1) as f64 * c.period_s)
         };
         let pairs = command.iter().zip(position_m).enumerate();
-        pairs
-            .map(|(tick, (u, x))| x + (u / c.velocity_gain_s_per_m + speed(tick)) / c.position_gain_per_s)
-            .collect()
+        let asked = pairs
+            .map(|(tick, (u, x))| x + (u / c.velocity_gain_s_per_m + speed(tick)) / c.position_gain_per_s);
+        Some(asked.collect())
     }
 
     fn run(

@@ -22,7 +22,7 @@ pub(crate) const INDEPENDENT: f64 = 60.0;
 /// Error that any model of a machine has, share of a signal's range: differences below it are no gap.
 pub(crate) const MODEL_ERROR: f64 = 0.002;
 /// What a free parameter is.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(crate) enum Target {
     /// A parameter of the plant.
     Plant(CalibratedParameter),
@@ -31,7 +31,7 @@ pub(crate) enum Target {
 }
 
 /// A free parameter, in the fit's own coordinate.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(crate) struct Free {
     /// What it is.
     pub(crate) target: Target,
@@ -82,21 +82,21 @@ impl Free {
     fn of_plant<A: SimulatedAxis>(spec: &A, parameter: CalibratedParameter) -> Self {
         let at = |value| coordinate(parameter.scale, value);
         let (low, high) = parameter.bounds;
-        let centre = at(spec.parameter(parameter.key));
+        let centre = at(spec.parameter(&parameter.key));
         Free {
-            target: Target::Plant(parameter),
             scale: parameter.scale,
             low: at(low),
             high: at(high),
             prior: parameter.sigma.map(|sigma| (centre, sigma)),
+            target: Target::Plant(parameter),
         }
     }
 
     /// Its key; an effect's is `effect.parameter`.
     pub(crate) fn key(&self) -> String {
-        match self.target {
-            Target::Plant(parameter) => parameter.key.to_owned(),
-            Target::Effect(effect, index) => format!("{}.{}", effect.key, effect.parameters[index].name),
+        match &self.target {
+            Target::Plant(parameter) => parameter.key.to_string(),
+            Target::Effect(effect, index) => format!("{}.{}", effect.key, effect.parameters[*index].name),
         }
     }
 
@@ -111,14 +111,14 @@ impl Free {
 
     /// Whether it belongs to one of these effects.
     pub(crate) fn is_of(&self, effects: &[&str]) -> bool {
-        matches!(self.target, Target::Effect(effect, _) if effects.contains(&effect.key))
+        matches!(&self.target, Target::Effect(effect, _) if effects.contains(&effect.key))
     }
 
     /// The coordinate of a machine's value.
     pub(crate) fn read<A: SimulatedAxis>(&self, spec: &A) -> f64 {
-        let value = match self.target {
-            Target::Plant(parameter) => spec.parameter(parameter.key),
-            Target::Effect(effect, index) => values_of(effect, spec)[index],
+        let value = match &self.target {
+            Target::Plant(parameter) => spec.parameter(&parameter.key),
+            Target::Effect(effect, index) => values_of(effect, spec)[*index],
         };
         coordinate(self.scale, value).clamp(self.low, self.high)
     }
@@ -133,10 +133,10 @@ impl Free {
 
     fn write<A: SimulatedAxis>(&self, coordinate: f64, spec: &mut A) {
         let value = self.value(coordinate);
-        match self.target {
-            Target::Plant(parameter) => spec.set_parameter(parameter.key, value),
+        match &self.target {
+            Target::Plant(parameter) => spec.set_parameter(&parameter.key, value),
             Target::Effect(effect, index) => {
-                let name = effect.parameters[index].name;
+                let name = effect.parameters[*index].name;
                 spec.effects_mut().entry(effect.key.into()).or_default().insert(name.into(), value);
             }
         }
@@ -155,11 +155,11 @@ impl Free {
 
     /// Whether it is a constant that logs hardly tell.
     pub(crate) fn is_hardly_told(&self) -> bool {
-        matches!(self.target, Target::Plant(parameter) if parameter.hardly_told)
+        matches!(&self.target, Target::Plant(parameter) if parameter.hardly_told)
     }
 
     fn is_time(&self) -> bool {
-        matches!(self.target, Target::Effect(effect, index) if effect.is_time(index))
+        matches!(&self.target, Target::Effect(effect, index) if effect.is_time(*index))
     }
 }
 
@@ -387,7 +387,7 @@ impl<A: SimulatedAxis> Fit<A> {
         machines.extend((1..WEAR_VALUES).map(|index| {
             let share = index as f64 / (WEAR_VALUES - 1) as f64;
             let at = free.low + (free.high - free.low) * SMALLEST_WEAR.powf(1.0 - share);
-            placed(spec, &[free], &DVector::from_element(1, at))
+            placed(spec, std::slice::from_ref(&free), &DVector::from_element(1, at))
         }));
         let residuals = problem.residuals(&machines);
         let costs = residuals.iter().map(|residual| residual.norm_squared());
@@ -398,7 +398,7 @@ impl<A: SimulatedAxis> Fit<A> {
 
     /// This machine with further parameters, changed to `spec`: the derivatives by what was free before are taken over.
     pub(crate) fn extended(&self, problem: &Problem<'_>, spec: &A, further: Vec<Free>) -> Self {
-        let free: Vec<Free> = self.free.iter().copied().chain(further).collect();
+        let free: Vec<Free> = self.free.iter().cloned().chain(further).collect();
         Fit::beside(problem, spec, free, self.jacobian.clone(), OLD_AGE - 1)
     }
 

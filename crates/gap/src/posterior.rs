@@ -49,12 +49,12 @@ impl Posterior {
     fn direction(&self, changes: &[f64]) -> Direction {
         let mut direction = Direction::default();
         for ((parameter, value), change) in self.free.iter().zip(&self.values).zip(changes) {
-            match (parameter.target, parameter.scale) {
+            match (&parameter.target, parameter.scale) {
                 (Target::Plant(plant), Scale::Logarithmic) => {
-                    direction.plant.insert(plant.key.to_owned(), *change);
+                    direction.plant.insert(plant.key.to_string(), *change);
                 }
                 (Target::Plant(plant), Scale::Linear(unit)) if *value > 0.0 => {
-                    direction.plant.insert(plant.key.to_owned(), change * unit / value);
+                    direction.plant.insert(plant.key.to_string(), change * unit / value);
                 }
                 (Target::Plant(_), Scale::Linear(_)) => {}
                 (Target::Effect(effect, index), scale) => {
@@ -63,7 +63,7 @@ impl Posterior {
                         Scale::Logarithmic => change * value,
                     };
                     let of_effect = direction.effects.entry(effect.key.to_owned()).or_default();
-                    of_effect.insert(effect.parameters[index].name.to_owned(), change);
+                    of_effect.insert(effect.parameters[*index].name.to_owned(), change);
                 }
             }
         }

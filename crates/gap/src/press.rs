@@ -55,12 +55,12 @@ fn symbol_of(key: &'static str) -> &'static str {
 }
 
 impl SimulatedAxis for MachineSpec {
-    fn catalogue() -> Vec<&'static EffectInfo> {
+    fn catalogue(&self) -> Vec<&'static EffectInfo> {
         effects::ALL.iter().map(|effect| effect.info()).collect()
     }
 
-    fn signals() -> &'static [Signal] {
-        &[Signal::Command, Signal::Position, Signal::PSupply, Signal::PInlet, Signal::PCap, Signal::PRod]
+    fn signals(&self) -> Vec<Signal> {
+        vec![Signal::Command, Signal::Position, Signal::PSupply, Signal::PInlet, Signal::PCap, Signal::PRod]
     }
 
     fn calibrated_parameters(&self) -> Vec<CalibratedParameter> {
@@ -69,8 +69,8 @@ impl SimulatedAxis for MachineSpec {
             let nominal = self.plant.get(key).filter(|value| *value > 0.0)?;
             let given = self.bounds_of(key);
             Some(CalibratedParameter {
-                key,
-                symbol: symbol_of(key),
+                key: (*key).into(),
+                symbol: symbol_of(key).into(),
                 bounds: given.unwrap_or((nominal * low, nominal * high)),
                 scale: Scale::Logarithmic,
                 sigma: Some(given.map_or(*sigma, |bounds| prior_within(bounds, *sigma))),
@@ -80,8 +80,8 @@ impl SimulatedAxis for MachineSpec {
         let (most, sigma) = RETURN_PRESSURE_PA;
         let key = "return_pressure_pa";
         let returned = CalibratedParameter {
-            key,
-            symbol: symbol_of(key),
+            key: key.into(),
+            symbol: symbol_of(key).into(),
             bounds: self.bounds_of(key).unwrap_or((0.0, most)),
             scale: Scale::Linear(sigma),
             sigma: Some(1.0),
@@ -95,8 +95,8 @@ impl SimulatedAxis for MachineSpec {
         let valve = Size::of(self).valve;
         let bounds = self.bounds_of(key).unwrap_or((0.0, valve * LEAK_M2.0));
         Some(CalibratedParameter {
-            key,
-            symbol: symbol_of(key),
+            key: key.into(),
+            symbol: symbol_of(key).into(),
             bounds,
             scale: Scale::Linear(valve * LEAK_M2.1),
             sigma: None,
@@ -150,7 +150,7 @@ impl SimulatedAxis for MachineSpec {
     }
 
     /// The PID law solved for the error. What the integrator held at the log's start is forgotten with Kp/Ki; until then nothing is said.
-    fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Vec<f64> {
+    fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Option<Vec<f64>> {
         let c = &self.controller;
         let unsure_s = (FORGOTTEN * c.kp / c.ki.max(f64::MIN_POSITIVE)).min(0.3 * self.cycle.period_s);
         let unsure = if c.ki > 0.0 { (unsure_s / c.period_s) as usize } else { 0 };
@@ -166,7 +166,7 @@ impl SimulatedAxis for MachineSpec {
             before = *x;
             if tick < unsure { f64::NAN } else { x + error }
         };
-        command.iter().zip(position_m).enumerate().map(of).collect()
+        Some(command.iter().zip(position_m).enumerate().map(of).collect())
     }
 
     fn run(
@@ -418,8 +418,9 @@ mod tests {
                 }
             })
             .collect();
-        let signals = MachineSpec::signals();
-        let compared = MachineSpec::run(std::slice::from_ref(machine), &drive, ticks, signals).swap_remove(0);
+        let signals = machine.signals();
+        let compared =
+            MachineSpec::run(std::slice::from_ref(machine), &drive, ticks, &signals).swap_remove(0);
         let mut own = vec![Vec::with_capacity(ticks); signals.len()];
         follow(std::slice::from_ref(machine), &drive, |tick, record| {
             if tick >= ticks {

@@ -56,7 +56,7 @@ pub(crate) fn rank<A: SimulatedAxis>(
     calibrated: &Fit<A>,
     explanations: &[Explanation<A>],
 ) -> Ranking {
-    let each = (1.0 - PRIOR_NONE) / A::catalogue().len() as f64;
+    let each = (1.0 - PRIOR_NONE) / calibrated.spec.catalogue().len() as f64;
     let mut logs = vec![TEMPER * score(problem, calibrated, 0.0) + PRIOR_NONE.ln()];
     logs.extend(explanations.iter().map(|explanation| {
         let further = (explanation.effects.len() - 1) as f64;

@@ -217,7 +217,9 @@ impl Record {
         let plan: Vec<f64> =
             (0..ticks).map(|tick| spec.duty_cycle().demand_m(tick as f64 * spec.tick_s())).collect();
         let asked = match (log.get(Signal::Demand), log.get(Signal::Command), log.get(Signal::Position)) {
-            (None, Some(command), Some(position)) => spec.asked_m(command, position),
+            (None, Some(command), Some(position)) => {
+                spec.asked_m(command, position).ok_or(RecordError::Missing(Signal::Demand.name()))?
+            }
             _ => Vec::new(),
         };
         let guide = log.get(Signal::Demand).unwrap_or(&asked);
@@ -239,7 +241,7 @@ impl Record {
             return Err(Mismatch::DutyCycle { signals, correlation: best }.into());
         }
         let signals: Vec<Signal> =
-            A::signals().iter().copied().filter(|signal| log.get(*signal).is_some()).collect();
+            spec.signals().into_iter().filter(|signal| log.get(*signal).is_some()).collect();
         let (mut cycles, mut incomplete) = (Vec::new(), 0);
         for start in starts {
             match cut(log, spec, &signals, start, ticks) {

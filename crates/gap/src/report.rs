@@ -42,7 +42,7 @@ pub struct Diagnosis {
     pub shrink: Shrink,
     /// The plant's own parameters as calibrated, by symbol.
     #[serde(rename = "retuned")]
-    pub calibrated: BTreeMap<&'static str, CalibratedValue>,
+    pub calibrated: BTreeMap<String, CalibratedValue>,
     /// The leak under each machine, m².
     pub leak: Leaks,
     /// What would tell apart what this log cannot.

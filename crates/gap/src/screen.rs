@@ -40,7 +40,7 @@ pub(crate) fn screen<A: SimulatedAxis>(
     without: &[String],
 ) -> Vec<Candidate> {
     let mut tried: Vec<(&'static EffectInfo, Vec<f64>)> = Vec::new();
-    for effect in A::catalogue() {
+    for effect in calibrated.spec.catalogue() {
         // What the plant file has already is part of the plant.
         if !calibrated.spec.effects().contains_key(effect.key) && !without.iter().any(|key| key == effect.key)
         {

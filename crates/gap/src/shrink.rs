@@ -180,7 +180,7 @@ fn with_some<A: SimulatedAxis>(
     for key in &dropped {
         spec.effects_mut().remove(*key);
     }
-    let free = chosen.fit.free.iter().filter(|free| !free.is_of(&dropped)).copied().collect();
+    let free = chosen.fit.free.iter().filter(|free| !free.is_of(&dropped)).cloned().collect();
     Fit::at(problem, &spec, free).fitted(problem, iterations).spec
 }
 

@@ -1,6 +1,7 @@
 //! What a plant has to offer so that its gap can be diagnosed.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use seepd_signals::Signal;
 use seepd_sim::DutyCycle;
@@ -14,12 +15,12 @@ use crate::simulate::BinnedSignals;
 pub type EffectValues = BTreeMap<String, BTreeMap<String, f64>>;
 
 /// A parameter that a fit may change.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct CalibratedParameter {
-    /// Key in the plant file.
-    pub key: &'static str,
+    /// Key in the plant file, or the name that the user's simulator has for it.
+    pub key: Arc<str>,
     /// Symbol in reports.
-    pub symbol: &'static str,
+    pub symbol: Arc<str>,
     /// Least and largest value, SI.
     pub bounds: (f64, f64),
     /// How it is counted.
@@ -45,9 +46,9 @@ pub type Imbalances = Vec<(&'static str, Vec<f64>)>;
 /// A plant with its controller and duty cycle: parameters with bounds, effects, balances, simulation.
 pub trait SimulatedAxis: Clone + Send + Sync {
     /// Effects that can be added to it.
-    fn catalogue() -> Vec<&'static EffectInfo>;
+    fn catalogue(&self) -> Vec<&'static EffectInfo>;
     /// Signals that are compared where a log has them; command and position first.
-    fn signals() -> &'static [Signal];
+    fn signals(&self) -> Vec<Signal>;
     /// Parameters that calibration may change.
     fn calibrated_parameters(&self) -> Vec<CalibratedParameter>;
     /// The parameter that wear changes: it is fitted in every machine, and no gap.
@@ -71,8 +72,8 @@ pub trait SimulatedAxis: Clone + Send + Sync {
     /// Stroke, m.
     fn stroke_m(&self) -> f64;
     /// What the controller must have been asked for, m, tick by tick, to give those commands at those positions. It serves to find where the
-    /// cycles of a log without a demand begin.
-    fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Vec<f64>;
+    /// cycles of a log without a demand begin; `None` where the controller's law is not known.
+    fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Option<Vec<f64>>;
     /// Simulates machines along a drive, closed loop, and bins what they show after the first `warm_up` ticks. A simulation that goes out
     /// of bounds shows NaN.
     fn run(
@@ -81,7 +82,7 @@ pub trait SimulatedAxis: Clone + Send + Sync {
         warm_up: usize,
         signals: &[Signal],
     ) -> Vec<BinnedSignals>;
-    /// The balances that the signals allow.
+    /// The balances that the signals allow; empty where the equations are not known.
     fn imbalances(&self, signals: &[Signal], view: &BinnedSignals) -> Imbalances;
     /// What about a cycle cannot be on such an axis, in a sentence.
     fn contradiction(&self, signals: &[Signal], cycle: &RecordedCycle) -> Option<String>;

@@ -230,7 +230,7 @@ impl PlantFile for ElectricAxis {
 /// [`Failure`] where it cannot be written as TOML.
 pub(super) fn emitted<A: PlantFile>(mut machine: A) -> Result<String, Failure> {
     if let Some(wear) = machine.wear() {
-        machine.set_parameter(wear.key, wear.bounds.0);
+        machine.set_parameter(&wear.key, wear.bounds.0);
     }
     machine.text().map_err(|error| Failure::new(Code::Internal, error.to_string()))
 }
