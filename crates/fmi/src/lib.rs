@@ -1,0 +1,7 @@
+#![doc = include_str!("../README.md")]
+
+pub mod archive;
+pub mod description;
+
+pub use archive::{Fmu, FmuError};
+pub use description::{Causality, DescriptionError, ModelDescription, Unit, Variable, Version};
