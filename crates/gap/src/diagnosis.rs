@@ -401,6 +401,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
     ) -> Diagnosis {
         let (record, ranked) = (self.record, self.ranked);
         let (calibrated, chosen) = (&ranked.calibrated, self.chosen(verdict));
+        let of_chosen = self.held_out.sensors(&chosen.spec);
         let effects = ranked.effects();
         let mut machines = vec![self.nominal.spec.clone(), calibrated.spec.clone(), chosen.spec.clone()];
         let best: Vec<&Explanation<A>> =
@@ -443,7 +444,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             signals: record.signals.iter().map(|signal| signal.name()).collect(),
             floor: told(&record.floor),
             gap: Gaps { nominal: told(&gaps[0]), calibrated: told(&gaps[1]), chosen: told(&gaps[2]) },
-            places: self.places(),
+            places: self.places(&of_chosen, settings.iterations),
             verdict,
             reason,
             seconds: 0.0,
@@ -464,9 +465,9 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             },
             distinguish: distinguish(self.spec, record, &findings, &ranked.candidates, verdict),
             effects: findings,
-            sensors: self.sensors(&chosen.spec),
+            sensors: self.sensors(&of_chosen),
             change: None,
-            notes: self.notes(&chosen.spec),
+            notes: self.notes(&of_chosen),
             curves: self.curves(&machines[..3]),
         }
     }
@@ -519,9 +520,9 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
     }
 
     /// What there is to know of the log, with the transducers that are further off than their class allows.
-    fn notes(&self, machine: &A) -> Vec<String> {
+    fn notes(&self, errors: &[Option<SensorError>]) -> Vec<String> {
         let mut notes = self.record.notes.clone();
-        for (signal, error) in self.record.signals.iter().zip(self.held_out.sensors(machine)) {
+        for (signal, error) in self.record.signals.iter().zip(errors) {
             let Some(error) = error.filter(|error| error.of_its_class(*signal) > BEYOND_ITS_CLASS) else {
                 continue;
             };
@@ -536,20 +537,25 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
     }
 
     /// What the sensors' classes take of the difference to the machine as diagnosed.
-    fn sensors(&self, machine: &A) -> BTreeMap<&'static str, SensorError> {
-        let errors = self.held_out.sensors(machine);
+    fn sensors(&self, errors: &[Option<SensorError>]) -> BTreeMap<&'static str, SensorError> {
         let signals = self.record.signals.iter();
-        signals.zip(errors).filter_map(|(signal, error)| Some((signal.name(), error?))).collect()
+        signals.zip(errors).filter_map(|(signal, error)| Some((signal.name(), (*error)?))).collect()
     }
 
-    fn places(&self) -> Vec<Place> {
-        let cycles: Vec<usize> = split(self.record).0;
-        let recorded = self.record.mean(&cycles);
-        let drive = &self.record.cycles[cycles[0]].drive;
-        let calibrated = &self.ranked.calibrated.spec;
-        let simulated =
-            binned_signals(std::slice::from_ref(calibrated), drive, &self.record.signals).swap_remove(0);
-        places(self.record, calibrated, &recorded, &simulated)
+    /// Where balances fail on what was there, beside what the sensors of the machine as diagnosed are off by. The machine that is held against it
+    /// has its usual parameters calibrated and no more: constants and sensors that are free as well would move the rest from one balance to another.
+    fn places(&self, errors: &[Option<SensorError>], iterations: usize) -> Vec<Place> {
+        let record = self.record.without(errors);
+        let cycles: Vec<usize> = split(&record).0;
+        let problem = Problem::new(&record, &cycles).without_allowances();
+        let mut free = free_parameters(self.spec);
+        free.retain(|free| !free.is_hardly_told());
+        let calibrated =
+            Fit::at(&problem, &self.nominal.spec, free).fitted_from_afar(&problem, iterations).spec;
+        let drive = &record.cycles[cycles[0]].drive;
+        let machines = std::slice::from_ref(&calibrated);
+        let simulated = binned_signals(machines, drive, &record.signals).swap_remove(0);
+        places(&record, &calibrated, &record.mean(&cycles), &simulated)
     }
 
     /// What the held-out cycles show beside the three machines: nominal, calibrated, chosen.

@@ -234,6 +234,12 @@ impl<'r> Problem<'r> {
         rows.into_iter().map(DVector::from_vec).collect()
     }
 
+    /// The same for sensors that show what is there.
+    pub(crate) fn without_allowances(mut self) -> Self {
+        self.allowances.fill(None);
+        self
+    }
+
     /// Takes off what sensors explain within their classes.
     fn allow_for_sensors(&self, row: &mut [f64]) {
         let signals = self.record.signals.len();

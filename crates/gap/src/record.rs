@@ -5,6 +5,7 @@ use seepd_sim::cycle::DriveSample;
 
 use crate::simulate::bins_of;
 use crate::simulated_axis::SimulatedAxis;
+use crate::transducers::SensorError;
 
 /// RMS difference from the median cycle, over the signal's range, above which a cycle is of another kind.
 const ANOTHER_KIND: f64 = 0.1;
@@ -298,6 +299,18 @@ impl Record {
             floor,
             notes: self.notes.clone(),
         }
+    }
+
+    /// What was there, if its sensors are off by that much.
+    pub(crate) fn without(&self, errors: &[Option<SensorError>]) -> Self {
+        let mut record = self.clone();
+        for cycle in &mut record.cycles {
+            for (values, error) in cycle.bins.iter_mut().zip(errors) {
+                let Some(error) = error else { continue };
+                values.iter_mut().for_each(|value| *value = error.there(*value));
+            }
+        }
+        record
     }
 
     /// Mean of some cycles' bins.

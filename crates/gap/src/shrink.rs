@@ -55,9 +55,10 @@ impl HeldOut<'_> {
         gaps.iter().zip(&self.record.floor).map(of).sum()
     }
 
-    /// How far each signal's sensor is most likely off, if the machine is that one.
+    /// How far each signal's sensor is most likely off, if the machine is that one; read off the first of the cycles.
     pub(crate) fn sensors<A: SimulatedAxis>(&self, machine: &A) -> Vec<Option<SensorError>> {
-        self.sensor_errors(&self.simulated(std::slice::from_ref(machine)), 0)
+        let first = HeldOut { cycles: &self.cycles[..1], ..*self };
+        first.sensor_errors(&first.simulated(std::slice::from_ref(machine)), 0)
     }
 
     /// What each machine shows along each cycle's drive; cycles with the very same drive share it.

@@ -33,6 +33,11 @@ pub struct SensorError {
 }
 
 impl SensorError {
+    /// What was there when this was shown.
+    pub(crate) fn there(self, shown: f64) -> f64 {
+        (shown - self.zero) / (1.0 + self.gain)
+    }
+
     /// How many standard deviations of its class it is off by.
     pub(crate) fn of_its_class(self, signal: Signal) -> f64 {
         class_of(signal).map_or(0.0, |class| (self.gain / class.gain).hypot(self.zero / class.zero))
