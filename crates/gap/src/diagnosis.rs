@@ -484,7 +484,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         let own: Vec<(&'static str, Estimate)> = fit
             .free
             .iter()
-            .zip(fit.estimates(self.problem))
+            .zip(fit.estimates(self.problem.misfit(&fit.residual)))
             .filter_map(|(free, estimate)| match &free.target {
                 Target::Effect(of, index) if of.key == effect.key => {
                     Some((of.parameters[*index].name, estimate))
@@ -507,9 +507,8 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         let calibrated = &self.ranked.calibrated;
         let wear = self.spec.wear().map(|parameter| parameter.key);
         let mut told = BTreeMap::new();
-        for (parameter, (fitted, interval95)) in
-            calibrated.free.iter().zip(calibrated.estimates(self.problem))
-        {
+        let misfit = self.problem.misfit(&calibrated.residual);
+        for (parameter, (fitted, interval95)) in calibrated.free.iter().zip(calibrated.estimates(misfit)) {
             let Target::Plant(parameter) = &parameter.target else { continue };
             if Some(&parameter.key) != wear.as_ref() {
                 let nominal = self.spec.parameter(&parameter.key);

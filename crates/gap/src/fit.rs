@@ -288,6 +288,13 @@ impl<'r> Problem<'r> {
         &residual.as_slice()[worst * BINS..][..BINS]
     }
 
+    /// How many times larger in squares than expected of a model the differences are, at least 1: intervals widen by as much (Birge, Physical
+    /// Review 40 (1932)).
+    pub(crate) fn misfit(&self, residual: &DVector<f64>) -> f64 {
+        let left = self.by_signal(residual);
+        (left.iter().sum::<f64>() / left.len().max(1) as f64).max(1.0)
+    }
+
     /// Mean square of each signal's differences over their expected error.
     pub(crate) fn by_signal(&self, residual: &DVector<f64>) -> Vec<f64> {
         let signals = self.record.signals.len();
@@ -541,11 +548,9 @@ impl<A: SimulatedAxis> Fit<A> {
         None
     }
 
-    /// Value of each parameter with its 95 % interval, from the covariance of differences and priors. Differences that the fit leaves beyond
-    /// what is expected of a model make intervals wider by as much (Birge, Physical Review 40 (1932)).
-    pub(crate) fn estimates(&self, problem: &Problem<'_>) -> Vec<(f64, [f64; 2])> {
-        let left = problem.by_signal(&self.residual);
-        let misfit = (left.iter().sum::<f64>() / left.len().max(1) as f64).max(1.0);
+    /// Value of each parameter with its 95 % interval, from the covariance of differences and priors, for errors that are in squares so many
+    /// times larger than expected.
+    pub(crate) fn estimates(&self, misfit: f64) -> Vec<(f64, [f64; 2])> {
         let covariance = normal_matrix(&self.free, &self.jacobian, 1.0 / misfit).try_inverse();
         let estimate = |(index, parameter): (usize, &Free)| {
             let spread = covariance.as_ref().map_or(f64::INFINITY, |c| c[(index, index)].max(0.0).sqrt());

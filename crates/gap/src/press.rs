@@ -74,7 +74,7 @@ impl SimulatedAxis for MachineSpec {
                 bounds: given.unwrap_or((nominal * low, nominal * high)),
                 scale: Scale::Logarithmic,
                 sigma: Some(given.map_or(*sigma, |bounds| prior_within(bounds, *sigma))),
-                hardly_told: hardly_told && given.is_none(),
+                hardly_told,
             })
         });
         let (most, sigma) = RETURN_PRESSURE_PA;
