@@ -166,7 +166,11 @@ fn a_flood_of_orders_is_a_few_lines_in_the_log() {
         Mosquitto::start(folder.path(), free_port(), "allow_anonymous true\nmax_queued_messages 0");
     let port = free_port();
     let daemon = Daemon::start(folder.path(), &silent_press(folder.path(), port, mosquitto.port, "3.1.1"));
-    until("the broker", SOON, || daemon.words().contains("connected to the broker"));
+    // Orders are asked for once the connection stands, and what comes before is lost: one is given again until it is heard.
+    until("a first order", SOON, || {
+        publish(&mosquitto, "seepd/first/acknowledge", &["-m", "now"]);
+        daemon.words().contains("there is no axis first")
+    });
     let flood = |topic: &str| {
         let mut child = Command::new("mosquitto_pub")
             .args(["-h", "127.0.0.1", "-p", &mosquitto.port.to_string(), "-l", "-t", topic])
