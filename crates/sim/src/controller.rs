@@ -45,6 +45,9 @@ fn is_one(value: &usize) -> bool {
 /// the command does not chatter at rest.
 const COMPENSATED_FROM: f64 = 0.003;
 
+/// Time constants after which the integrator's start is forgotten.
+const FORGOTTEN: f64 = 3.0;
+
 impl Default for Controller {
     fn default() -> Self {
         Controller {
@@ -75,6 +78,26 @@ impl Controller {
         } else {
             command - self.dead_band_compensation.copysign(command)
         }
+    }
+
+    /// What it must have been asked for, m, tick by tick, to give those commands at those positions: the PID law solved for the error. What the
+    /// integrator held at the start is forgotten with Kp/Ki; until then, or for three tenths of a cycle of that length, NaN.
+    pub fn asked_m(&self, command: &[f64], position_m: &[f64], cycle_s: f64) -> Vec<f64> {
+        let unsure_s = (FORGOTTEN * self.kp / self.ki.max(f64::MIN_POSITIVE)).min(0.3 * cycle_s);
+        let unsure = if self.ki > 0.0 { (unsure_s / self.period_s) as usize } else { 0 };
+        let (mut integral, mut before) = (0.0, position_m.first().copied().unwrap_or(0.0));
+        let of = |(tick, (u, x)): (usize, (&f64, &f64))| {
+            if !(u.is_finite() && x.is_finite()) {
+                return f64::NAN;
+            }
+            let braking = self.kd * (x - before) / self.period_s;
+            let u = self.uncompensated(*u);
+            let error = (u - integral + braking) / (self.kp + self.ki * self.period_s).max(f64::MIN_POSITIVE);
+            integral += self.ki * self.period_s * error;
+            before = *x;
+            if tick < unsure { f64::NAN } else { x + error }
+        };
+        command.iter().zip(position_m).enumerate().map(of).collect()
     }
 }
 

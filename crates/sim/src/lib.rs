@@ -10,6 +10,7 @@ pub mod machine;
 pub mod noise;
 pub mod oil;
 pub mod plant;
+pub mod ports;
 pub mod real;
 pub mod series;
 mod simd;
