@@ -596,7 +596,7 @@ fn distinguish<A: SimulatedAxis>(
     verdict: Verdict,
 ) -> Vec<String> {
     let mut told = Vec::new();
-    let pressures = record.signals.len() > 2 || spec.signals().len() == 2;
+    let pressures = record.signals.len() > 2 || spec.signals().len() <= 2;
     if let Some(best) = effects.first().filter(|best| !best.equivalent.is_empty() && best.probability > 0.1) {
         let others = best.equivalent.join(", ");
         let lags = ["command_delay", "position_lag", "valve_lag"];

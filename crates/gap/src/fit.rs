@@ -378,6 +378,8 @@ pub(crate) struct Fit<A> {
 const LEAST_GAIN: (f64, f64) = (0.02, 1e-3);
 /// Dampings that are tried side by side, times the present one: one batch of lanes.
 const DAMPINGS: [f64; LANES] = [0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 100.0, 1000.0];
+/// Those where a run is dear.
+const FEWER_DAMPINGS: [f64; 4] = [0.1, 1.0, 10.0, 1000.0];
 /// Values of wear from which the best is the start: two batches of lanes, each value about twice the one before.
 const WEAR_VALUES: usize = 2 * LANES;
 /// The smallest of them over the largest.
@@ -468,11 +470,15 @@ impl<A: SimulatedAxis> Fit<A> {
             weight * residual.norm_squared() + prior_cost(free, at)
         };
         let mut cost = cost_of(&self.residual, &self.free, &self.at);
+        let dampings: &[f64] = if A::IS_DEAR { &FEWER_DAMPINGS } else { &DAMPINGS };
         for _ in 0..iterations {
+            if self.spec.is_spent() {
+                break;
+            }
             if self.age >= OLD_AGE {
                 self = self.with_slopes(problem, relaxed);
             }
-            let tried: Vec<(f64, DVector<f64>)> = DAMPINGS
+            let tried: Vec<(f64, DVector<f64>)> = dampings
                 .iter()
                 .filter_map(|factor| Some((damping * factor, self.step(weight, damping * factor)?)))
                 .collect();

@@ -3,10 +3,12 @@
 //! Each balance is evaluated on the recorded signals and on the simulated ones with the same coefficients and the same differences over
 //! bins; what differs is imbalance that the machine has and the simulation has not.
 
+use seepd_signals::Signal;
+
 use crate::record::{BINS, Record};
 use crate::report::Place;
 use crate::simulate::BinnedSignals;
-use crate::simulated_axis::SimulatedAxis;
+use crate::simulated_axis::{Imbalances, SimulatedAxis};
 
 /// Phases in reports.
 const PHASES: [&str; 7] = ["extend", "press", "hold", "retract", "reversal", "near_zero", "near_end"];
@@ -67,7 +69,15 @@ pub(crate) fn phase_spans<A: SimulatedAxis>(spec: &A) -> Vec<(&'static str, f64,
     spans
 }
 
-/// Where the recorded machine's balances differ from the simulated one's.
+/// In the place of balances that nobody knows: the signals, over their range.
+fn signals_themselves(record: &Record, view: &BinnedSignals) -> Imbalances {
+    let of = |((signal, range), values): ((&Signal, &f64), &Vec<f64>)| {
+        (signal.name(), values.iter().map(|value| value / range).collect())
+    };
+    record.signals.iter().zip(&record.range).zip(view).map(of).collect()
+}
+
+/// Where the recorded machine's balances differ from the simulated one's; where there are no equations, its signals.
 pub(crate) fn places<A: SimulatedAxis>(
     record: &Record,
     calibrated: &A,
@@ -78,7 +88,10 @@ pub(crate) fn places<A: SimulatedAxis>(
     let difference =
         |signal: usize, bin: usize| (recorded[signal][bin] - simulated[signal][bin]) / record.range[signal];
     let mut found: Vec<Place> = Vec::new();
-    let of = |view: &BinnedSignals| calibrated.imbalances(&record.signals, view);
+    let of = |view: &BinnedSignals| {
+        let balances = calibrated.imbalances(&record.signals, view);
+        if balances.is_empty() { signals_themselves(record, view) } else { balances }
+    };
     let pairs = of(recorded).into_iter().zip(of(simulated));
     for ((equation, a), (_, b)) in pairs {
         for (number, name) in PHASES.iter().enumerate() {

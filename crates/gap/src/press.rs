@@ -47,9 +47,6 @@ fn prior_within((low, high): (f64, f64), usual: f64) -> f64 {
     usual.max(0.5 * (high / low.max(f64::MIN_POSITIVE)).ln())
 }
 
-/// Time constants after which the integrator's start is forgotten.
-const FORGOTTEN: f64 = 3.0;
-
 fn symbol_of(key: &'static str) -> &'static str {
     PlantParameters::ALL.iter().find(|info| info.key == key).map_or(key, |info| info.symbol)
 }
@@ -149,24 +146,8 @@ impl SimulatedAxis for MachineSpec {
         self.plant.stroke_m
     }
 
-    /// The PID law solved for the error. What the integrator held at the log's start is forgotten with Kp/Ki; until then nothing is said.
     fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Option<Vec<f64>> {
-        let c = &self.controller;
-        let unsure_s = (FORGOTTEN * c.kp / c.ki.max(f64::MIN_POSITIVE)).min(0.3 * self.cycle.period_s);
-        let unsure = if c.ki > 0.0 { (unsure_s / c.period_s) as usize } else { 0 };
-        let (mut integral, mut before) = (0.0, position_m.first().copied().unwrap_or(0.0));
-        let of = |(tick, (u, x)): (usize, (&f64, &f64))| {
-            if !(u.is_finite() && x.is_finite()) {
-                return f64::NAN;
-            }
-            let braking = c.kd * (x - before) / c.period_s;
-            let u = c.uncompensated(*u);
-            let error = (u - integral + braking) / (c.kp + c.ki * c.period_s).max(f64::MIN_POSITIVE);
-            integral += c.ki * c.period_s * error;
-            before = *x;
-            if tick < unsure { f64::NAN } else { x + error }
-        };
-        Some(command.iter().zip(position_m).enumerate().map(of).collect())
+        Some(self.controller.asked_m(command, position_m, self.cycle.period_s))
     }
 
     fn run(

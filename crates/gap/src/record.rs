@@ -85,7 +85,7 @@ fn fill(values: &mut [f64], furthest: usize) {
 #[non_exhaustive]
 pub enum RecordError {
     /// A signal is missing.
-    #[error("the log has no {0}; a diagnosis needs command and position")]
+    #[error("the log has no {0}; a diagnosis of this axis needs it")]
     Missing(&'static str),
     /// A signal never changes.
     #[error("the {0} never changes; this is not the log of a machine at work")]
@@ -224,6 +224,9 @@ impl Record {
             _ => Vec::new(),
         };
         let guide = log.get(Signal::Demand).unwrap_or(&asked);
+        if guide.is_empty() {
+            return Err(RecordError::Missing(Signal::Demand.name()));
+        }
         if log.get(Signal::Demand).is_none() {
             notes.push("the log has no demand; that of the plant file is used, aligned with what the controller must have been asked for".into());
         }
@@ -333,7 +336,7 @@ fn span(values: &[f64]) -> (f64, f64) {
     (finite().fold(f64::INFINITY, f64::min), finite().fold(f64::NEG_INFINITY, f64::max))
 }
 
-/// Cycles whose command or position is unlike the median cycle's by more than [`ANOTHER_KIND`].
+/// Cycles whose first two signals, command and position as a rule, are unlike the median cycle's by more than [`ANOTHER_KIND`].
 fn of_another_kind(cycles: &[RecordedCycle], range: &[f64]) -> Vec<usize> {
     let median = |signal: usize| -> Vec<f64> {
         (0..BINS)
@@ -344,7 +347,7 @@ fn of_another_kind(cycles: &[RecordedCycle], range: &[f64]) -> Vec<usize> {
             })
             .collect()
     };
-    let medians = [median(0), median(1)];
+    let medians: Vec<Vec<f64>> = (0..range.len().min(2)).map(median).collect();
     let unlike = |cycle: &RecordedCycle| {
         medians.iter().enumerate().any(|(signal, median)| {
             let square: f64 = cycle.bins[signal].iter().zip(median).map(|(a, b)| (a - b).powi(2)).sum();
@@ -384,7 +387,9 @@ fn plausible<A: SimulatedAxis>(
 
 /// What can be wrong with a log before anything is compared.
 fn check<A: SimulatedAxis>(log: &Log, spec: &A) -> Result<(), RecordError> {
-    for signal in [Signal::Command, Signal::Position] {
+    let named = spec.signals();
+    let needed = [Signal::Command, Signal::Position].into_iter().filter(|signal| named.contains(signal));
+    for signal in needed {
         let values = log.get(signal).ok_or(RecordError::Missing(signal.name()))?;
         let (low, high) = span(values);
         if high <= low || !(high - low).is_finite() {
@@ -534,8 +539,8 @@ fn bridged(values: &[f64]) -> Option<Vec<f64>> {
     Some(filled)
 }
 
-/// Means over bins.
-pub(crate) fn binned(values: &[f64]) -> Vec<f64> {
+/// Means of ticks over [`BINS`] bins.
+pub fn binned(values: &[f64]) -> Vec<f64> {
     let mut sums = vec![(0.0, 0u32); BINS];
     for (tick, value) in values.iter().enumerate() {
         let bin = &mut sums[bin_of(tick, values.len())];

@@ -73,6 +73,9 @@ pub(crate) fn search<A: SimulatedAxis>(
     found.explanations =
         single_effects(problem, untouched, &found.calibrated, &found.candidates, far, settings);
     // An effect's fit that owes its success to the parameters beside it shows where calibration should have gone.
+    if untouched.spec.is_spent() {
+        return found;
+    }
     let better = repolished(problem, &found, settings);
     if better.cost < WORTH_ANOTHER_ROUND * found.calibrated.cost {
         found.calibrated = better;
@@ -81,7 +84,8 @@ pub(crate) fn search<A: SimulatedAxis>(
             single_effects(problem, untouched, &found.calibrated, &found.candidates, far, settings);
     }
     polish(problem, &mut found.explanations, settings);
-    if found.explanations.iter().all(|one| something_left(problem, &one.fit)) {
+    let may_go_on = !untouched.spec.is_spent();
+    if may_go_on && found.explanations.iter().all(|one| something_left(problem, &one.fit)) {
         add_effects(problem, &mut found.explanations, settings);
     }
     found
@@ -151,8 +155,10 @@ fn single_effects<A: SimulatedAxis>(
     };
     let others = near.iter().map(|c| (c, false)).chain(far.iter().map(|c| (c, true)));
     let more: Vec<(&Candidate, bool)> = others.filter(untried).collect();
-    let further = more.par_iter().map(begun).collect::<Vec<_>>();
-    keep_better(&mut fits, more.iter().zip(finished(problem, further, settings)));
+    if !calibrated.spec.is_spent() {
+        let further = more.par_iter().map(begun).collect::<Vec<_>>();
+        keep_better(&mut fits, more.iter().zip(finished(problem, further, settings)));
+    }
     fits.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
     fits
 }

@@ -45,6 +45,8 @@ pub type Imbalances = Vec<(&'static str, Vec<f64>)>;
 
 /// A plant with its controller and duty cycle: parameters with bounds, effects, balances, simulation.
 pub trait SimulatedAxis: Clone + Send + Sync {
+    /// Whether a run is so dear that a fit tries fewer steps side by side.
+    const IS_DEAR: bool = false;
     /// Effects that can be added to it.
     fn catalogue(&self) -> Vec<&'static EffectInfo>;
     /// Signals that are compared where a log has them; command and position first.
@@ -84,6 +86,10 @@ pub trait SimulatedAxis: Clone + Send + Sync {
     ) -> Vec<BinnedSignals>;
     /// The balances that the signals allow; empty where the equations are not known.
     fn imbalances(&self, signals: &[Signal], view: &BinnedSignals) -> Imbalances;
+    /// Whether what may be simulated is used up: a search then ends with what it has.
+    fn is_spent(&self) -> bool {
+        false
+    }
     /// What about a cycle cannot be on such an axis, in a sentence.
     fn contradiction(&self, signals: &[Signal], cycle: &RecordedCycle) -> Option<String>;
 }
