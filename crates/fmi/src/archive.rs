@@ -1,6 +1,8 @@
 //! The archive that an FMU is: what may be in it, and what it has binaries for.
 
+use std::fs::{self, File};
 use std::io::{Read, Seek};
+use std::path::Path;
 
 use thiserror::Error;
 use zip::ZipArchive;
@@ -35,6 +37,9 @@ pub enum FmuError {
     /// The description cannot be read from the archive.
     #[error("modelDescription.xml: {0}")]
     Unreadable(std::io::Error),
+    /// A file cannot be unpacked.
+    #[error("the FMU cannot be unpacked: {0}")]
+    Unpacked(std::io::Error),
     /// The description is none.
     #[error(transparent)]
     Description(#[from] DescriptionError),
@@ -90,6 +95,34 @@ impl Fmu {
         described.take(MOST_DESCRIPTION_BYTES).read_to_string(&mut text).map_err(FmuError::Unreadable)?;
         let description = ModelDescription::parse(&text)?;
         Ok(Fmu { platforms: platforms(&files), description, files })
+    }
+
+    /// Unpacks an archive whole into a folder that is there, and makes the folder of resources where it has none: models expect it.
+    ///
+    /// # Errors
+    /// [`FmuError`]; sizes are counted as they come, whatever the archive states.
+    pub fn unpack<R: Read + Seek>(archive: R, folder: &Path) -> Result<(), FmuError> {
+        let mut archive = ZipArchive::new(archive)?;
+        let mut left = MOST_BYTES;
+        for index in 0..archive.len() {
+            let mut file = archive.by_index(index)?;
+            let Some(name) = file.enclosed_name().filter(|_| !file.is_symlink()) else {
+                return Err(FmuError::Outside(file.name().to_owned()));
+            };
+            let place = folder.join(name);
+            if file.is_dir() {
+                fs::create_dir_all(&place).map_err(FmuError::Unpacked)?;
+                continue;
+            }
+            if let Some(parent) = place.parent() {
+                fs::create_dir_all(parent).map_err(FmuError::Unpacked)?;
+            }
+            let mut unpacked = File::create(&place).map_err(FmuError::Unpacked)?;
+            let bytes = std::io::copy(&mut file.by_ref().take(left + 1), &mut unpacked)
+                .map_err(FmuError::Unpacked)?;
+            left = left.checked_sub(bytes).ok_or(FmuError::TooLarge { bytes: MOST_BYTES + 1 })?;
+        }
+        fs::create_dir_all(folder.join("resources")).map_err(FmuError::Unpacked)
     }
 
     /// The place in the archive of the binary for a platform, which is named as in FMI 3, such as `x86_64-linux`.
