@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use seepd::config::{AxisConfig, DaemonConfig};
 use seepd_sim::MachineSpec;
+use seepd_simulator::SimulatorSpec;
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
@@ -24,6 +25,22 @@ fn documented_plant_file_is_the_default_in_full() {
             info.key
         );
     }
+}
+
+#[test]
+fn simulators_of_the_guide_read() {
+    let guide = fs::read_to_string(root().join("docs/simulator.md")).unwrap();
+    let block = guide.split("```toml").nth(1).and_then(|rest| rest.split("```").next()).unwrap();
+    let example = fs::read_to_string(root().join("docs/simulator.toml")).unwrap();
+    let example = SimulatorSpec::from_toml(&example).unwrap();
+    let mut spec: toml::Table = toml::from_str(block).unwrap();
+    for (key, value) in toml::Table::try_from(&example).unwrap() {
+        spec.entry(key).or_insert(value);
+    }
+    let spec = SimulatorSpec::from_toml(&toml::to_string(&spec).unwrap()).unwrap();
+    assert_eq!((spec.stroke_m, spec.full_force_n), (example.stroke_m, 351.5));
+    // Its table of laws at the ports names each kind that there is.
+    assert_eq!(spec.without_port().len(), 4);
 }
 
 #[test]

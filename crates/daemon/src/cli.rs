@@ -53,6 +53,9 @@ enum Command {
     #[cfg(feature = "gap")]
     #[command(hide = true)]
     CauseBlind(commands::cause_blind::CauseBlindArguments),
+    #[cfg(feature = "gap")]
+    #[command(hide = true)]
+    FmuHost(commands::user_simulator::FmuHostArguments),
     Inspect(commands::inspect::InspectArguments),
     Check(commands::check::CheckArguments),
     Explain(commands::explain::ExplainArguments),
@@ -98,6 +101,8 @@ pub fn main() -> ExitCode {
         Command::AdoptBlind(arguments) => commands::adopt_blind::run(arguments),
         #[cfg(feature = "gap")]
         Command::CauseBlind(arguments) => commands::cause_blind::run(arguments),
+        #[cfg(feature = "gap")]
+        Command::FmuHost(_) => commands::user_simulator::host(),
         Command::Inspect(arguments) => commands::inspect::run(arguments),
         Command::Check(arguments) => commands::check::run(arguments),
         Command::Explain(arguments) => commands::explain::run(arguments),

@@ -113,7 +113,7 @@ fn check(path: &Path) -> (&'static str, Result<Good, Failure>) {
 }
 
 fn is_plant(text: &str) -> bool {
-    let tables = ["plant", "controller", "cycle", "effects", "bounds"];
+    let tables = ["plant", "controller", "cycle", "effects", "bounds", "process"];
     text.lines().any(|line| {
         let name = line.trim().trim_start_matches('[').split(['.', ']']).next().unwrap_or_default();
         line.trim().starts_with('[') && tables.contains(&name)
@@ -137,12 +137,28 @@ fn check_model(path: &Path) -> Result<String, Failure> {
     ))
 }
 
+#[cfg(feature = "gap")]
+fn check_simulator(path: &Path, text: &str) -> Result<String, Failure> {
+    let spec = seepd_simulator::SimulatorSpec::from_toml(text)
+        .map_err(|error| Failure::configuration(path, error))?;
+    Ok(format!(
+        "simulator of your own, cycle of {} s, {} parameters, {} effects of its own",
+        spec.cycle.period_s,
+        spec.parameters.len(),
+        spec.effects.len()
+    ))
+}
+
 #[cfg(feature = "simulate")]
 fn check_plant(path: &Path, text: &str) -> Result<String, Failure> {
     if seepd_sim::electric::ElectricAxis::is_kind(text) {
         let axis = seepd_sim::electric::ElectricAxis::from_toml(text)
             .map_err(|error| Failure::configuration(path, error))?;
         return Ok(format!("electric axis of {} kg, cycle of {} s", axis.plant.mass_kg, axis.cycle.period_s));
+    }
+    #[cfg(feature = "gap")]
+    if seepd_simulator::SimulatorSpec::is_kind(text) {
+        return check_simulator(path, text);
     }
     let spec =
         seepd_sim::MachineSpec::from_toml(text).map_err(|error| Failure::configuration(path, error))?;

@@ -13,11 +13,13 @@ use seepd_settings::UnknownKey;
 use seepd_settings::side_file;
 use seepd_signals::Signal;
 use seepd_sim::electric::ElectricAxis;
-use seepd_sim::{MachineSpec, PlantParameters, SpecError};
+use seepd_sim::{MachineSpec, PlantParameters};
+use seepd_simulator::SimulatorAxis;
 
 use super::blind::BlindArguments;
 use super::reading::MappingArguments;
 use super::simulate::read_plant;
+use super::user_simulator::{self, SimulatorArguments};
 use crate::cli::Outcome;
 use crate::config::AxisConfig;
 use crate::failure::{Code, Failure};
@@ -65,6 +67,8 @@ pub struct GapArguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     #[command(flatten)]
+    simulator: SimulatorArguments,
+    #[command(flatten)]
     overwrite: OverwriteArguments,
 }
 
@@ -101,6 +105,9 @@ pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
     let Some(path) = &arguments.log else {
         return Err(Failure::new(Code::Usage, "there is no log to diagnose: name one"));
     };
+    if let Some(axis) = arguments.simulator.axis(arguments.plant.as_deref())? {
+        return run_on(arguments, path, &axis, None, begin);
+    }
     let electric = arguments.plant.as_deref().map(electric_axis).transpose()?.flatten();
     match electric {
         Some(axis) => run_on(arguments, path, &axis, None, begin),
@@ -141,6 +148,7 @@ fn run_on<A: PlantFile>(
     let (mut diagnosis, machine) =
         diagnosed.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
     diagnosis.notes.extend(notes);
+    diagnosis.notes.extend(spec.notes());
     diagnosis.seconds = begin.elapsed().as_secs_f64();
     if let Some(emit_plant) = &outputs.emit_plant {
         emit_plant.write(emitted(machine)?)?;
@@ -209,18 +217,32 @@ pub(super) fn answer<A: SimulatedAxis>(
 /// An axis that can be written as a plant file.
 pub(super) trait PlantFile: SimulatedAxis {
     /// The file's text.
-    fn text(&self) -> Result<String, SpecError>;
+    fn text(&self) -> Result<String, String>;
+    /// What there is to say of it after a diagnosis.
+    fn notes(&self) -> Vec<String> {
+        Vec::new()
+    }
 }
 
 impl PlantFile for MachineSpec {
-    fn text(&self) -> Result<String, SpecError> {
-        self.with_stable_steps().to_toml()
+    fn text(&self) -> Result<String, String> {
+        self.with_stable_steps().to_toml().map_err(|error| error.to_string())
     }
 }
 
 impl PlantFile for ElectricAxis {
-    fn text(&self) -> Result<String, SpecError> {
-        self.to_toml()
+    fn text(&self) -> Result<String, String> {
+        self.to_toml().map_err(|error| error.to_string())
+    }
+}
+
+impl PlantFile for SimulatorAxis {
+    fn text(&self) -> Result<String, String> {
+        self.spec().to_toml().map_err(|error| error.to_string())
+    }
+
+    fn notes(&self) -> Vec<String> {
+        user_simulator::notes(self)
     }
 }
 
@@ -232,7 +254,7 @@ pub(super) fn emitted<A: PlantFile>(mut machine: A) -> Result<String, Failure> {
     if let Some(wear) = machine.wear() {
         machine.set_parameter(&wear.key, wear.bounds.0);
     }
-    machine.text().map_err(|error| Failure::new(Code::Internal, error.to_string()))
+    machine.text().map_err(|error| Failure::new(Code::Internal, error))
 }
 
 fn write(

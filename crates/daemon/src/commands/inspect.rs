@@ -20,14 +20,16 @@ use crate::sink::terminal::print;
 /// Show what a log or a CAN bus has, and propose the mapping that reads it
 ///
 /// Shows the topics of a log with their rates, gaps, encodings and numeric fields, guesses which fields are the command, position,
-/// demand, pressures and load, and prints the mapping that reads them.
+/// demand, pressures and load, and prints the mapping that reads them. Of an FMU it shows the variables, without running it, and prints a
+/// plant file for `gap`.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd inspect press-1.mcap\n  seepd inspect press-1.mcap > seepd.toml   # the mapping alone\n  \
-                        seepd inspect --dbc press.dbc candump.log\n  seepd inspect can0\n  seepd inspect --json press-1.mcap | jq .topics"
+                        seepd inspect --dbc press.dbc candump.log\n  seepd inspect can0\n  seepd inspect --json press-1.mcap | jq .topics\n  \
+                        seepd inspect press.fmu > plant.toml     # variables of a model, and a plant file"
 )]
 pub struct InspectArguments {
-    /// Log (MCAP, CSV with a header row, candump), or a CAN interface such as can0
+    /// Log (MCAP, CSV with a header row, candump), a CAN interface such as can0, or a model (FMU)
     #[arg(value_name = "LOG")]
     log: PathBuf,
     /// How long to listen on a CAN interface, s
@@ -49,6 +51,10 @@ pub struct InspectArguments {
 /// # Errors
 /// [`Failure`] where the log cannot be read.
 pub fn run(arguments: &InspectArguments) -> Result<Outcome, Failure> {
+    #[cfg(feature = "gap")]
+    if super::user_simulator::is_fmu(&arguments.log) {
+        return super::user_simulator::inspect(&arguments.log);
+    }
     let dbc = arguments.dbc.as_deref().map(Dbc::read).transpose()?;
     let found = look(&arguments.log, &arguments.time_column, dbc.as_ref(), arguments.seconds)?;
     if arguments.json {

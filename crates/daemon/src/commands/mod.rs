@@ -33,3 +33,5 @@ pub mod study;
 pub mod test_sinks;
 #[cfg(feature = "train")]
 pub mod train;
+#[cfg(feature = "gap")]
+pub mod user_simulator;

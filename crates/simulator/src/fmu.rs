@@ -1,0 +1,436 @@
+//! An FMU as the simulator: unpacked once, and hosted by processes that may die.
+//!
+//! Whoever hosts one is this very program, started again: [`serve`] loads the model, runs the loop around it tick by tick, and answers each run
+//! with one line. What the model prints goes to the standard error, where it cannot spoil an answer.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use landlock::{
+    ABI, Access, AccessFs, AccessNet, PathBeneath, PathFd, Ruleset, RulesetAttr, RulesetCreatedAttr,
+};
+use nix::sys::prctl::set_pdeathsig;
+use nix::sys::resource::{Resource, setrlimit};
+use nix::sys::signal::Signal as ProcessSignal;
+use nix::unistd::{dup, dup2_stdout};
+use seepd_fmi::{Causality, Fmu, Instance, InstanceError, ModelDescription, Variable};
+use seepd_settings::UnknownKey;
+use seepd_signals::Signal;
+use seepd_sim::cycle::DriveSample;
+use seepd_sim::ports::{PortInput, PortOutput, SteppedPlant};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use tempfile::TempDir;
+use thiserror::Error;
+
+use crate::child::LineChild;
+use crate::simulators::{HostedRun, RunError, around};
+use crate::spec::{FmuSpec, FmuVariable, SimulatorSpec, VELOCITY};
+
+/// Memory that a host may have, bytes: a model that allocates without end must not take the machine's.
+const MOST_MEMORY: u64 = 2 << 30;
+
+/// Why an FMU cannot be the simulator.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum FmuError {
+    /// The file cannot be read.
+    #[error("{}: {error}", .file.display())]
+    File {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        error: std::io::Error,
+    },
+    /// Not an FMU that can be used.
+    #[error("{}: {error}", .file.display())]
+    Archive {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        error: seepd_fmi::FmuError,
+    },
+    /// No place to unpack it.
+    #[error("there is no place to unpack the FMU: {0}")]
+    Place(std::io::Error),
+    /// A variable that the model does not have.
+    #[error("{}: {unknown}", .key)]
+    Unknown {
+        /// Key in the plant file.
+        key: String,
+        /// The name, with those that there are.
+        #[source]
+        unknown: UnknownKey,
+    },
+    /// The model does not run.
+    #[error(transparent)]
+    Instance(#[from] InstanceError),
+}
+
+/// The platform of this program, by its name in FMI 3.
+fn platform() -> String {
+    let system = match std::env::consts::OS {
+        "macos" => "darwin",
+        other => other,
+    };
+    format!("{}-{system}", std::env::consts::ARCH)
+}
+
+/// An FMU in a folder of its own, which goes when this does.
+#[derive(Debug)]
+pub(crate) struct UnpackedFmu {
+    folder: TempDir,
+    library: PathBuf,
+    host: Vec<String>,
+}
+
+impl UnpackedFmu {
+    /// Reads and unpacks an FMU; nothing of it is loaded.
+    pub(crate) fn new(file: &Path, host: &[String]) -> Result<Self, FmuError> {
+        let opened = || File::open(file).map_err(|error| FmuError::File { file: file.to_owned(), error });
+        let archive = |error| FmuError::Archive { file: file.to_owned(), error };
+        let fmu = Fmu::read(opened()?).map_err(archive)?;
+        let library = fmu.binary(&platform()).map_err(archive)?;
+        let folder = tempfile::Builder::new().prefix("seepd-fmu-").tempdir().map_err(FmuError::Place)?;
+        Fmu::unpack(opened()?, folder.path()).map_err(archive)?;
+        Ok(UnpackedFmu { library: folder.path().join(library), host: host.to_vec(), folder })
+    }
+
+    /// Starts a host of it.
+    pub(crate) fn start(&self, spec: &SimulatorSpec, time: Duration) -> Result<LineChild, RunError> {
+        let beside = self.library.parent().unwrap_or(Path::new("/"));
+        let mut variables = vec![
+            ("LD_LIBRARY_PATH", beside.display().to_string()),
+            ("TMPDIR", self.folder.path().display().to_string()),
+        ];
+        if let Some(fmu) = spec.fmu.as_ref().filter(|fmu| !fmu.preload.is_empty()) {
+            variables.push(("LD_PRELOAD", fmu.preload.join(":")));
+        }
+        let mut child = LineChild::start(&self.host, self.folder.path(), &variables)?;
+        let model = HostedModel {
+            folder: self.folder.path().to_owned(),
+            library: self.library.clone(),
+            spec: spec.clone(),
+        };
+        let text = serde_json::to_string(&model)
+            .map_err(|error| RunError::NotJson { error, line: String::new() })?;
+        let line = child.ask(text, time)?;
+        let answer: Ready = serde_json::from_str(&line)
+            .map_err(|error| RunError::NotJson { error, line: line.chars().take(80).collect() })?;
+        answer.error.map_or(Ok(child), |error| Err(RunError::Hosted(error)))
+    }
+}
+
+/// The first line that a host is sent.
+#[derive(Serialize, Deserialize)]
+struct HostedModel {
+    folder: PathBuf,
+    library: PathBuf,
+    spec: SimulatorSpec,
+}
+
+#[derive(Deserialize)]
+struct Ready {
+    error: Option<String>,
+}
+
+/// Hosts an FMU: answers lines of the standard input on the standard output until there are no more.
+///
+/// # Errors
+/// An I/O error of these two.
+pub fn serve() -> std::io::Result<()> {
+    let mut answers = File::from(dup(std::io::stdout())?);
+    // What the model prints must not be taken for an answer.
+    dup2_stdout(std::io::stderr())?;
+    // Whoever asks is gone: so is this. Where the system knows no such limits, the time that a run may take is left.
+    let _ = set_pdeathsig(ProcessSignal::SIGKILL);
+    let _ = setrlimit(Resource::RLIMIT_AS, MOST_MEMORY, MOST_MEMORY);
+    let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
+    let mut lines = BufReader::new(std::io::stdin()).lines();
+    let Some(first) = lines.next() else { return Ok(()) };
+    let hosted = serde_json::from_str::<HostedModel>(&first?).map_err(std::io::Error::other)?;
+    // Where the kernel knows no such rules, processes of their own and limits are what is left.
+    let _ = confined(&hosted.folder);
+    let mut model = match HostedFmu::new(&hosted) {
+        Ok(model) => model,
+        Err(error) => return writeln!(answers, "{}", json!({ "error": error.to_string() })),
+    };
+    writeln!(answers, "{}", json!({}))?;
+    for line in lines {
+        let asked = serde_json::from_str::<HostedRun>(&line?).map_err(std::io::Error::other)?;
+        let answer = match model.run(&hosted.spec, asked) {
+            Ok(series) => json!(series),
+            Err(error) => json!({ "error": error.to_string() }),
+        };
+        writeln!(answers, "{answer}")?;
+    }
+    Ok(())
+}
+
+/// From here on this process writes in that folder alone and opens no connection.
+fn confined(folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
+    let abi = ABI::V4;
+    let writing = AccessFs::from_write(abi);
+    let null = PathBeneath::new(PathFd::new("/dev/null")?, AccessFs::WriteFile);
+    Ruleset::default()
+        .handle_access(writing)?
+        .handle_access(AccessNet::from_all(abi))?
+        .create()?
+        .add_rule(PathBeneath::new(PathFd::new(folder)?, writing))?
+        .add_rule(null)?
+        .restrict_self()?;
+    Ok(())
+}
+
+/// A variable and the factor from its own unit to ours.
+#[derive(Debug, Clone, Copy)]
+struct Mapped {
+    reference: u32,
+    factor: f64,
+    offset: f64,
+}
+
+impl Mapped {
+    fn ours(&self, value: f64) -> f64 {
+        self.factor * value + self.offset
+    }
+
+    fn its(&self, value: f64) -> f64 {
+        (value - self.offset) / self.factor
+    }
+}
+
+/// A loaded model with its variables.
+struct HostedFmu {
+    instance: Instance,
+    remake: (PathBuf, PathBuf),
+    description: ModelDescription,
+    reference: Mapped,
+    load: Option<Mapped>,
+    outputs: Vec<(Option<Signal>, Mapped)>,
+    start_position: Option<Mapped>,
+    set: Vec<(u32, f64)>,
+    now_s: f64,
+    fresh: bool,
+    parameters: Vec<(u32, f64)>,
+    latency: usize,
+}
+
+#[expect(unsafe_code, reason = "foreign code is what this process is for; it is confined and may die")]
+fn instance(
+    folder: &Path,
+    library: &Path,
+    description: &ModelDescription,
+) -> Result<Instance, InstanceError> {
+    // SAFETY: nothing can promise what foreign code does; `serve` has given it a process with limits.
+    unsafe { Instance::new(folder, library, description) }
+}
+
+impl HostedFmu {
+    fn new(hosted: &HostedModel) -> Result<Self, FmuError> {
+        let (folder, spec) = (&hosted.folder, &hosted.spec);
+        let file = folder.join("modelDescription.xml");
+        let text =
+            std::fs::read_to_string(&file).map_err(|error| FmuError::File { file: file.clone(), error })?;
+        let description = ModelDescription::parse(&text)
+            .map_err(|error| FmuError::Archive { file, error: seepd_fmi::FmuError::Description(error) })?;
+        let none = FmuSpec {
+            file: PathBuf::new(),
+            inputs: BTreeMap::new(),
+            outputs: BTreeMap::new(),
+            set: BTreeMap::new(),
+            start_position: None,
+            preload: Vec::new(),
+            timeout_s: 0.0,
+        };
+        let fmu = spec.fmu.as_ref().unwrap_or(&none);
+        let mapped = |key: &str, variable: &FmuVariable, causality| {
+            let found = named(&description, key, variable.name(), causality)?;
+            let unit = description.unit_of(found);
+            let scale = variable.scale();
+            Ok::<Mapped, FmuError>(Mapped {
+                reference: found.reference,
+                factor: scale * unit.map_or(1.0, |unit| unit.factor),
+                offset: scale * unit.map_or(0.0, |unit| unit.offset),
+            })
+        };
+        let input = |name: &str| {
+            let variable = fmu.inputs.get(name);
+            variable
+                .map(|variable| mapped(&format!("fmu.inputs.{name}"), variable, Causality::Input))
+                .transpose()
+        };
+        let reference = input(spec.reference())?.unwrap_or(Mapped { reference: 0, factor: 1.0, offset: 0.0 });
+        let load = input("load")?;
+        let mut outputs = Vec::new();
+        for (name, variable) in &fmu.outputs {
+            let signal = if name == VELOCITY { None } else { Signal::from_name(name) };
+            outputs.push((signal, mapped(&format!("fmu.outputs.{name}"), variable, Causality::Output)?));
+        }
+        let start_position = fmu
+            .start_position
+            .as_ref()
+            .map(|name| mapped("fmu.start_position", &FmuVariable::Name(name.clone()), Causality::Parameter));
+        let set = fmu.set.iter().map(|(name, value)| {
+            Ok((named(&description, "fmu.set", name, Causality::Parameter)?.reference, *value))
+        });
+        for name in spec.parameters.keys() {
+            named(&description, "parameters", name, Causality::Parameter)?;
+        }
+        for effect in spec.effects.values() {
+            named(&description, "effects", &effect.parameter, Causality::Parameter)?;
+        }
+        let set = set.collect::<Result<Vec<_>, FmuError>>()?;
+        let mut hosted = HostedFmu {
+            instance: instance(folder, &hosted.library, &description)?,
+            remake: (folder.clone(), hosted.library.clone()),
+            reference,
+            load,
+            outputs,
+            start_position: start_position.transpose()?,
+            set,
+            now_s: 0.0,
+            fresh: true,
+            parameters: Vec::new(),
+            latency: 0,
+            description,
+        };
+        hosted.latency = hosted.measured_latency(spec)?;
+        Ok(hosted)
+    }
+
+    /// Steps by which the model's answer to its input comes later than that of the step that had it: tools may put a step of delay between.
+    fn measured_latency(&mut self, spec: &SimulatorSpec) -> Result<usize, FmuError> {
+        let at = spec.cycle.demand_m(0.0);
+        let still = if spec.controller.is_some() { 0.0 } else { at };
+        let drive =
+            DriveSample { run: 0, at_s: 0.0, demand_m: at, load_n: 0.0, load_end_n: 0.0, leak_area_m2: 0.0 };
+        let mut answers = Vec::new();
+        for pulse in [0.0, PULSE] {
+            self.start(&drive)?;
+            let mut shown = Vec::new();
+            for step in 0..MOST_LATENCY {
+                let reference = still + if step == 0 { pulse } else { 0.0 };
+                let output = self.step(&PortInput { reference, load_n: 0.0, dt_s: spec.tick_s() })?;
+                shown.push(output);
+            }
+            answers.push(shown);
+        }
+        let differs = |step: &usize| {
+            let [still, pulsed] = [0, 1].map(|run| answers[run][*step]);
+            still.values.iter().zip(pulsed.values).any(|(a, b)| a.to_bits() != b.to_bits())
+        };
+        Ok((0..MOST_LATENCY).find(differs).unwrap_or(0))
+    }
+
+    fn run(
+        &mut self,
+        spec: &SimulatorSpec,
+        asked: HostedRun,
+    ) -> Result<BTreeMap<&'static str, Vec<f64>>, FmuError> {
+        let mut machine = spec.clone();
+        machine.with = asked.with;
+        self.parameters.clear();
+        for (name, value) in &asked.parameters {
+            let found = named(&self.description, "parameters", name, Causality::Parameter)?;
+            self.parameters.push((found.reference, *value));
+        }
+        let ends = asked.load.iter().skip(1).chain(asked.load.last());
+        let samples = asked.demand.iter().zip(&asked.load).zip(ends).enumerate();
+        let drive: Vec<DriveSample> = samples
+            .map(|(tick, ((demand_m, load_n), load_end_n))| DriveSample {
+                run: 0,
+                at_s: tick as f64 * machine.tick_s(),
+                demand_m: *demand_m,
+                load_n: *load_n,
+                load_end_n: *load_end_n,
+                leak_area_m2: 0.0,
+            })
+            .collect();
+        let mut series: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
+        let latency = if machine.controller.is_none() { self.latency } else { 0 };
+        around(&machine).run(self, &drive, latency, |_, shown| {
+            for signal in &asked.signals {
+                let values = series.entry(signal.name()).or_insert_with(|| Vec::with_capacity(drive.len()));
+                values.push(shown.get(*signal));
+            }
+        })?;
+        Ok(series)
+    }
+
+    fn shown(&mut self) -> Result<PortOutput, FmuError> {
+        let references: Vec<u32> = self.outputs.iter().map(|(_, mapped)| mapped.reference).collect();
+        let mut values = vec![f64::NAN; references.len()];
+        self.instance.get(&references, &mut values)?;
+        let mut output = PortOutput::NOTHING;
+        for ((signal, mapped), value) in self.outputs.iter().zip(values) {
+            match signal {
+                Some(signal) => output.values[*signal as usize] = mapped.ours(value),
+                None => output.velocity_m_per_s = mapped.ours(value),
+            }
+        }
+        Ok(output)
+    }
+}
+
+/// Steps in which an answer is looked for, and the pulse that asks for it.
+const MOST_LATENCY: usize = 4;
+const PULSE: f64 = 0.01;
+
+/// A variable by its name, or the nearest names of its kind.
+fn named<'d>(
+    description: &'d ModelDescription,
+    key: &str,
+    name: &str,
+    causality: Causality,
+) -> Result<&'d Variable, FmuError> {
+    let of_kind = |variable: &&Variable| match causality {
+        // What is no input may be set before the start, and read.
+        Causality::Parameter => variable.causality != Causality::Input,
+        Causality::Output => true,
+        other => variable.causality == other,
+    };
+    let found = description.variable(name).filter(of_kind);
+    found.ok_or_else(|| {
+        let known: Vec<&str> =
+            description.variables.iter().filter(of_kind).map(|variable| variable.name.as_str()).collect();
+        FmuError::Unknown { key: key.to_owned(), unknown: UnknownKey::new(name, &known) }
+    })
+}
+
+impl SteppedPlant for HostedFmu {
+    type Error = FmuError;
+
+    fn start(&mut self, first: &DriveSample) -> Result<PortOutput, FmuError> {
+        if !self.fresh && self.instance.reset().is_err() {
+            // Many models cannot be reset: another instance does as well.
+            self.instance = instance(&self.remake.0, &self.remake.1, &self.description)?;
+        }
+        (self.fresh, self.now_s) = (false, 0.0);
+        for (reference, value) in self.set.iter().chain(&self.parameters) {
+            self.instance.set(&[*reference], &[*value])?;
+        }
+        if let Some(position) = &self.start_position {
+            self.instance.set(&[position.reference], &[position.its(first.demand_m)])?;
+        }
+        self.instance.enter_initialization()?;
+        if let Some(load) = &self.load {
+            self.instance.set(&[load.reference], &[load.its(first.load_n)])?;
+        }
+        self.instance.exit_initialization()?;
+        self.shown()
+    }
+
+    fn step(&mut self, input: &PortInput) -> Result<PortOutput, FmuError> {
+        self.instance.set(&[self.reference.reference], &[self.reference.its(input.reference)])?;
+        if let Some(load) = &self.load {
+            self.instance.set(&[load.reference], &[load.its(input.load_n)])?;
+        }
+        self.instance.step(self.now_s, input.dt_s)?;
+        self.now_s += input.dt_s;
+        self.shown()
+    }
+}
