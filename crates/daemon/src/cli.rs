@@ -1,9 +1,11 @@
 //! The command line.
 
+use std::ffi::OsString;
 use std::process::ExitCode;
+use std::sync::OnceLock;
 
 use clap::error::ErrorKind;
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 
 use crate::commands;
 use crate::failure::{Code, Failure};
@@ -70,7 +72,12 @@ pub(crate) fn description() -> clap::Command {
 
 /// Runs the program: the only place that reads the arguments and writes the last error.
 pub fn main() -> ExitCode {
-    let arguments = match Arguments::try_parse() {
+    ExitCode::from(run(std::env::args_os()))
+}
+
+/// Runs the program with these arguments, its name the first; gives the exit code.
+pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> u8 {
+    let arguments = match Arguments::try_parse_from(arguments) {
         Ok(arguments) => arguments,
         Err(error) => return tell_usage(&error),
     };
@@ -110,8 +117,8 @@ pub fn main() -> ExitCode {
         Command::Man(arguments) => commands::shell::man(arguments),
     };
     match result {
-        Ok(Outcome::Good) => ExitCode::SUCCESS,
-        Ok(Outcome::Finding) => ExitCode::from(Code::Finding as u8),
+        Ok(Outcome::Good) => 0,
+        Ok(Outcome::Finding) => Code::Finding as u8,
         Err(failure) => tell(&failure),
     }
 }
@@ -125,16 +132,59 @@ pub enum Outcome {
     Finding,
 }
 
-fn tell(failure: &Failure) -> ExitCode {
+fn tell(failure: &Failure) -> u8 {
     warn(&failure.message);
-    ExitCode::from(failure.code as u8)
+    failure.code as u8
+}
+
+/// How this program is started, where it is a part of another.
+static STARTED_BY: OnceLock<Vec<String>> = OnceLock::new();
+
+/// Says with which words this program is started, where that is not the running program's own name: an interpreter and its module. The first
+/// to say so is believed.
+pub fn is_started_by(words: Vec<String>) {
+    let _ = STARTED_BY.set(words);
+}
+
+/// The words that start this program once more.
+///
+/// # Errors
+/// [`Failure`] where the system does not tell.
+#[cfg(feature = "gap")]
+pub(crate) fn start_words() -> Result<Vec<String>, Failure> {
+    if let Some(words) = STARTED_BY.get() {
+        return Ok(words.clone());
+    }
+    let program = std::env::current_exe().map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
+    Ok(vec![program.display().to_string()])
+}
+
+/// A command's arguments, for programs that embed it: the same words, and the same checks.
+///
+/// # Errors
+/// [`Failure`] with what is wrong in one line.
+pub fn parse<A: Args>(words: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> Result<A, Failure> {
+    #[derive(Parser)]
+    #[command(name = "seepd", no_binary_name = true, disable_help_flag = true)]
+    struct Only<A: Args> {
+        #[command(flatten)]
+        arguments: A,
+    }
+    let parsed = Only::<A>::try_parse_from(words).map_err(|error| {
+        let text = error.to_string();
+        // The first line says what is wrong, the rest how the command line is used.
+        let said =
+            text.lines().take_while(|line| !line.is_empty()).map(str::trim).collect::<Vec<_>>().join(" ");
+        Failure::new(Code::Usage, said.trim_start_matches("error: "))
+    })?;
+    Ok(parsed.arguments)
 }
 
 /// clap's own texts; asking for help is no error, and a wrong argument is usage.
-fn tell_usage(error: &clap::Error) -> ExitCode {
+fn tell_usage(error: &clap::Error) -> u8 {
     let _ = error.print();
     match error.kind() {
-        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => ExitCode::SUCCESS,
-        _ => ExitCode::from(Code::Usage as u8),
+        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => 0,
+        _ => Code::Usage as u8,
     }
 }

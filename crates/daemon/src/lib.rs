@@ -22,7 +22,7 @@ pub mod journal;
 #[cfg(feature = "live")]
 pub mod live;
 pub mod output;
-mod progress;
+pub mod progress;
 mod quantity;
 pub mod reasons;
 pub mod repair_log;

@@ -1,5 +1,6 @@
 //! What a person sees beside the output: progress, and warnings.
 
+use std::cell::RefCell;
 use std::io::{self, IsTerminal, Write};
 #[cfg(any(feature = "gap", feature = "train"))]
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -41,15 +42,17 @@ pub(crate) struct Steps {
     what: &'static str,
     steps: u64,
     done: AtomicU64,
+    is_told: bool,
 }
 
 #[cfg(any(feature = "gap", feature = "train"))]
 impl Steps {
     /// Work of so many steps.
     pub(crate) fn begin(steps: u64, what: &'static str) -> Self {
-        let bar = progress_bar(steps, what);
+        let is_told = !is_gathering();
+        let bar = if is_told { progress_bar(steps, what) } else { ProgressBar::hidden() };
         bar.enable_steady_tick(std::time::Duration::from_millis(200));
-        Steps { bar, what, steps, done: AtomicU64::new(0) }
+        Steps { bar, what, steps, done: AtomicU64::new(0), is_told }
     }
 
     /// So many are done in all.
@@ -68,7 +71,7 @@ impl Steps {
     }
 
     fn tell(&self, before: u64, done: u64) {
-        if is_worth_a_line(self.steps, before, done) && !io::stderr().is_terminal() {
+        if self.is_told && is_worth_a_line(self.steps, before, done) && !io::stderr().is_terminal() {
             warn(&format!("{}: {done} of {} done", self.what, self.steps));
         }
     }
@@ -94,10 +97,36 @@ pub(crate) fn counting(bar: &ProgressBar) -> impl FnMut(u64) + Clone + Send + 's
     move |bytes| bar.inc(bytes)
 }
 
+thread_local! {
+    /// Where warnings of this thread go instead of standard error.
+    static HEARD: RefCell<Option<Vec<String>>> = const { RefCell::new(None) };
+}
+
+/// Runs the work with its warnings gathered, rather than written to standard error: for programs that embed commands. Warnings of other
+/// threads are not among them; no command has any.
+pub fn gathering_warnings<R>(work: impl FnOnce() -> R) -> (R, Vec<String>) {
+    let outer = HEARD.with(|heard| heard.replace(Some(Vec::new())));
+    let result = work();
+    let warnings = HEARD.with(|heard| heard.replace(outer)).unwrap_or_default();
+    (result, warnings)
+}
+
+/// Whether somebody gathers this thread's warnings: progress is not told then.
+#[cfg(any(feature = "gap", feature = "train"))]
+fn is_gathering() -> bool {
+    HEARD.with_borrow(Option::is_some)
+}
+
 /// A warning or an error, as one line.
 pub(crate) fn warn(message: &str) {
+    let line = plain::one_line(message);
+    let is_heard = HEARD
+        .with_borrow_mut(|heard| heard.as_mut().map(|heard| heard.push(line.clone().into_owned())).is_some());
+    if is_heard {
+        return;
+    }
     // Nobody listens any more where even this cannot be written.
-    let _ = writeln!(plain::stderr(), "seepd: {}", plain::one_line(message));
+    let _ = writeln!(plain::stderr(), "seepd: {line}");
 }
 
 #[cfg(test)]

@@ -129,6 +129,34 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
     if let Some(each) = arguments.causes.causes {
         return run_causes(arguments, usize::from(each));
     }
+    let claim = |config: &AxisConfig| {
+        let logs = arguments.logs.iter().map(PathBuf::as_path);
+        let inputs = logs.chain(arguments.reading.files(config)).chain(arguments.baseline.file());
+        Outputs::new(arguments.overwrite, inputs).claim_any(arguments.html.as_ref())
+    };
+    let (evaluation, html) = evaluated(arguments, claim)?;
+    if let Some(html) = html {
+        html.write(EvaluationPage { evaluation: &evaluation }.render())?;
+    }
+    let mut text = Vec::new();
+    let written = if arguments.json {
+        serde_json::to_writer(&mut text, &evaluation).map_err(io::Error::from).and_then(|()| writeln!(text))
+    } else {
+        write_tables(&mut text, &evaluation)
+    };
+    written.map_err(|error| Failure::writing(Path::new("standard output"), error))?;
+    print(&text)?;
+    Ok(Outcome::Good)
+}
+
+/// Evaluates; `begin` is called once the arguments are known to be good, before the logs are read.
+///
+/// # Errors
+/// As [`run`], and what `begin` gives.
+pub fn evaluated<T>(
+    arguments: &EvaluateArguments,
+    begin: impl FnOnce(&AxisConfig) -> Result<T, Failure>,
+) -> Result<(Evaluation, T), Failure> {
     if !(arguments.onset_lpm.is_finite() && arguments.onset_lpm >= 0.0) {
         return Err(Failure::new(
             Code::Usage,
@@ -149,9 +177,7 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
         let text = "an axis without a model (`monitor.kind = \"relative\"`) gives no sizes that could be held against the truth";
         return Err(Failure::new(Code::Usage, text));
     }
-    let logs = arguments.logs.iter().map(PathBuf::as_path);
-    let inputs = logs.chain(arguments.reading.files(&config)).chain(arguments.baseline.file());
-    let html = Outputs::new(arguments.overwrite, inputs).claim_any(arguments.html.as_ref())?;
+    let begun = begin(&config)?;
     let monitor = config.monitor(duty_cycles);
     let conditions = Conditions {
         reference_dp_pa: config.reference_dp_pa,
@@ -184,18 +210,7 @@ pub fn run(arguments: &EvaluateArguments) -> Result<Outcome, Failure> {
             evaluation.without_truth, evaluation.cycles
         ));
     }
-    if let Some(html) = html {
-        html.write(EvaluationPage { evaluation: &evaluation }.render())?;
-    }
-    let mut text = Vec::new();
-    let written = if arguments.json {
-        serde_json::to_writer(&mut text, &evaluation).map_err(io::Error::from).and_then(|()| writeln!(text))
-    } else {
-        write_tables(&mut text, &evaluation)
-    };
-    written.map_err(|error| Failure::writing(Path::new("standard output"), error))?;
-    print(&text)?;
-    Ok(Outcome::Good)
+    Ok((evaluation, begun))
 }
 
 /// Checks named causes on simulated machines of the series.

@@ -93,29 +93,57 @@ const MOST_CYCLES: f64 = 120.0;
 ///
 /// # Errors
 /// [`Failure`] for plant, configuration, log or output.
+pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
+    if let Some(Other::Blind(arguments)) = &arguments.blind {
+        return super::blind::run(arguments);
+    }
+    let claim = |path: &Path, config: &AxisConfig| GapOutputs::claim(arguments, path, config);
+    let (diagnosed, path, outputs) = diagnosed(arguments, claim)?;
+    if let Some(emit_plant) = &outputs.emit_plant {
+        emit_plant.write(diagnosed.plant_file?)?;
+    }
+    write(&outputs, path, diagnosed.plant.as_ref(), &diagnosed.diagnosis)
+}
+
+/// A log's diagnosis with the machine as diagnosed.
+pub struct Diagnosed {
+    /// The diagnosis.
+    pub diagnosis: Diagnosis,
+    /// The plant file of the machine as diagnosed, as new.
+    pub plant_file: Result<String, Failure>,
+    /// Where there is a plant to say how leaks flow.
+    pub plant: Option<PlantParameters>,
+}
+
+/// Diagnoses; `begin` is called with log and configuration once the arguments are known to be good, before the log is read.
+///
+/// # Errors
+/// As [`run`], and what `begin` gives.
 #[expect(
     clippy::disallowed_methods,
     reason = "how long a diagnosis took is part of it; nothing else depends on it"
 )]
-pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
-    let begin = Instant::now();
-    if let Some(Other::Blind(arguments)) = &arguments.blind {
-        return super::blind::run(arguments);
-    }
+pub fn diagnosed<T>(
+    arguments: &GapArguments,
+    begin: impl FnOnce(&Path, &AxisConfig) -> Result<T, Failure>,
+) -> Result<(Diagnosed, &Path, T), Failure> {
+    let start = Instant::now();
     let Some(path) = &arguments.log else {
         return Err(Failure::new(Code::Usage, "there is no log to diagnose: name one"));
     };
-    if let Some(axis) = arguments.simulator.axis(arguments.plant.as_deref())? {
-        return run_on(arguments, path, &axis, None, begin);
-    }
-    let electric = arguments.plant.as_deref().map(electric_axis).transpose()?.flatten();
-    match electric {
-        Some(axis) => run_on(arguments, path, &axis, None, begin),
-        None => {
-            let spec = read_plant(arguments.plant.as_deref())?;
-            run_on(arguments, path, &spec, Some(&spec.plant), begin)
-        }
-    }
+    let config = arguments.mapping.load()?;
+    let (begun, mut diagnosed) = if let Some(axis) = arguments.simulator.axis(arguments.plant.as_deref())? {
+        (begin(path, &config)?, diagnosed_on(arguments, path, &config, &axis)?)
+    } else if let Some(axis) = arguments.plant.as_deref().map(electric_axis).transpose()?.flatten() {
+        (begin(path, &config)?, diagnosed_on(arguments, path, &config, &axis)?)
+    } else {
+        let spec = read_plant(arguments.plant.as_deref())?;
+        let begun = begin(path, &config)?;
+        let diagnosed = diagnosed_on(arguments, path, &config, &spec)?;
+        (begun, Diagnosed { plant: Some(spec.plant), ..diagnosed })
+    };
+    diagnosed.diagnosis.seconds = start.elapsed().as_secs_f64();
+    Ok((diagnosed, path, begun))
 }
 
 /// The electric axis of a plant file, if it is one.
@@ -125,35 +153,23 @@ fn electric_axis(path: &Path) -> Result<Option<ElectricAxis>, Failure> {
     axis.map_err(|error| Failure::configuration(path, error))
 }
 
-/// Diagnoses a log against an axis; leaks are told as flows where there is a plant to say how they flow.
-#[expect(
-    clippy::disallowed_methods,
-    reason = "how long a diagnosis took is part of it; nothing else depends on it"
-)]
-fn run_on<A: PlantFile>(
+fn diagnosed_on<A: PlantFile>(
     arguments: &GapArguments,
     path: &Path,
+    config: &AxisConfig,
     spec: &A,
-    plant: Option<&PlantParameters>,
-    begin: Instant,
-) -> Result<Outcome, Failure> {
-    let config = arguments.mapping.load()?;
-    let outputs = GapOutputs::claim(arguments, path, &config)?;
-    let (log, notes) = read(path, &config, spec)?;
+) -> Result<Diagnosed, Failure> {
+    let (log, notes) = read(path, config, spec)?;
     let steps = Steps::begin(seepd_gap::diagnosis::STEPS as u64, "diagnosing");
     let settings = DiagnosisSettings { without: arguments.without.clone(), ..DiagnosisSettings::default() };
-    let diagnosed = pool(arguments.threads)?
+    let answered = pool(arguments.threads)?
         .install(|| answer(&log, spec, &settings, &mut |done| steps.set(done as u64)));
     drop(steps);
     let (mut diagnosis, machine) =
-        diagnosed.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
+        answered.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
     diagnosis.notes.extend(notes);
     diagnosis.notes.extend(spec.notes());
-    diagnosis.seconds = begin.elapsed().as_secs_f64();
-    if let Some(emit_plant) = &outputs.emit_plant {
-        emit_plant.write(emitted(machine)?)?;
-    }
-    write(&outputs, path, plant, &diagnosis)
+    Ok(Diagnosed { diagnosis, plant_file: emitted(machine), plant: None })
 }
 
 /// Where a diagnosis goes.
@@ -420,7 +436,8 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
     text
 }
 
-fn headline(diagnosis: &Diagnosis) -> String {
+/// The conclusion in words.
+pub fn headline(diagnosis: &Diagnosis) -> String {
     let because = diagnosis.reason.as_ref().map_or(String::new(), |reason| format!(" ({reason})"));
     let text = match diagnosis.verdict {
         Verdict::NoGap => "no gap: the machine of the plant file behaves as the log does".into(),

@@ -63,34 +63,80 @@ pub struct LearnBaselineArguments {
 /// # Errors
 /// [`Failure`] for arguments, configuration, logs, or cycles that make no baseline.
 pub fn run(arguments: &LearnBaselineArguments) -> Result<Outcome, Failure> {
+    let (learned, out) = learned(arguments, |config| claim(arguments, config))?;
+    out.write(learned.file.clone())?;
+    learned.remarks().iter().for_each(|remark| warn(remark));
+    print(&learned.told(arguments)?)?;
+    Ok(Outcome::Good)
+}
+
+/// A baseline as it was learned.
+pub struct Learned {
+    /// What its file is to hold.
+    pub file: String,
+    what: What,
+}
+
+enum What {
+    OfModel(Arc<Model>, Box<Baseline>),
+    Relative(Box<RelativeBaseline>),
+}
+
+impl Learned {
+    /// What a person should know before trusting it.
+    pub fn remarks(&self) -> &[String] {
+        match &self.what {
+            What::OfModel(_, baseline) => &baseline.remarks,
+            What::Relative(baseline) => &baseline.remarks,
+        }
+    }
+
+    /// What the command prints.
+    fn told(&self, arguments: &LearnBaselineArguments) -> Result<Vec<u8>, Failure> {
+        match &self.what {
+            What::OfModel(model, baseline) => tell(arguments, model, baseline),
+            What::Relative(_) if arguments.json => Ok(self.file.clone().into_bytes()),
+            What::Relative(baseline) => Ok(describe_relative(&arguments.out, baseline).into_bytes()),
+        }
+    }
+}
+
+/// Learns; `begin` is called once the arguments are known to be good, before the logs are read.
+///
+/// # Errors
+/// As [`run`], and what `begin` gives.
+pub fn learned<T>(
+    arguments: &LearnBaselineArguments,
+    begin: impl FnOnce(&AxisConfig) -> Result<T, Failure>,
+) -> Result<(Learned, T), Failure> {
     check_cycles("--cycles", arguments.cycles)?;
     let (config, duty_cycles) = arguments.reading.load()?;
     if config.is_relative() {
-        return run_relative(arguments, &config);
+        return learned_relative(arguments, &config, begin);
     }
     let which = chosen(arguments.duty_cycle.as_deref(), &duty_cycles)?;
     let model = Arc::clone(&duty_cycles[which].model);
     let mut file = record_of(arguments, &config, &model)?;
-    let out = claim(arguments, &config)?;
+    let begun = begin(&config)?;
     let usual = if arguments.seal_replaced { "seal replaced" } else { "commissioning" };
     let occasion = arguments.occasion.as_deref().unwrap_or(usual);
     let baseline = learn(arguments, &config, (duty_cycles, which), occasion)?;
-    file.baselines.push(baseline);
-    out.write(file.to_json().map_err(|error| Failure::writing(&arguments.out, error))?)?;
-    if let Some(baseline) = file.newest() {
-        tell(arguments, &model, baseline)?;
-    }
-    Ok(Outcome::Good)
+    file.baselines.push(baseline.clone());
+    let text = file.to_json().map_err(|error| Failure::writing(&arguments.out, error))?;
+    Ok((Learned { file: text, what: What::OfModel(model, Box::new(baseline)) }, begun))
 }
 
 /// Learns the baseline of an axis without a model: its duty cycle too.
-fn run_relative(arguments: &LearnBaselineArguments, config: &AxisConfig) -> Result<Outcome, Failure> {
-    let path = &arguments.out;
+fn learned_relative<T>(
+    arguments: &LearnBaselineArguments,
+    config: &AxisConfig,
+    begin: impl FnOnce(&AxisConfig) -> Result<T, Failure>,
+) -> Result<(Learned, T), Failure> {
     if arguments.seal_replaced {
         let text = "--seal-replaced adds to a record, and the baseline of an axis without a model is a single one; --force replaces it";
         return Err(Failure::new(Code::Usage, text));
     }
-    let out = claim(arguments, config)?;
+    let begun = begin(config)?;
     let mut pipeline = Pipeline::new(config.monitor(Vec::new()))?;
     let occasion = arguments.occasion.as_deref().unwrap_or("commissioning");
     if let Some(monitor) = pipeline.relative_mut() {
@@ -101,11 +147,8 @@ fn run_relative(arguments: &LearnBaselineArguments, config: &AxisConfig) -> Resu
         .relative()
         .map_or(Err(RelativeError::NoCycle), |monitor| monitor.baseline_so_far(&config.axis));
     let baseline = learned.map_err(|error| no_baseline(&error, arguments, config, &pipeline))?;
-    let text = baseline.to_json().map_err(|error| Failure::writing(path, error))?;
-    out.write(text.clone())?;
-    baseline.remarks.iter().for_each(|remark| warn(remark));
-    print(if arguments.json { text } else { describe_relative(path, &baseline) }.as_bytes())?;
-    Ok(Outcome::Good)
+    let text = baseline.to_json().map_err(|error| Failure::writing(&arguments.out, error))?;
+    Ok((Learned { file: text, what: What::Relative(Box::new(baseline)) }, begun))
 }
 
 fn describe_relative(path: &Path, baseline: &RelativeBaseline) -> String {
@@ -232,8 +275,7 @@ fn no_baseline(
     Failure::data(format!("no baseline could be learned: {error}{more}"))
 }
 
-fn tell(arguments: &LearnBaselineArguments, model: &Model, baseline: &Baseline) -> Result<(), Failure> {
-    baseline.remarks.iter().for_each(|remark| warn(remark));
+fn tell(arguments: &LearnBaselineArguments, model: &Model, baseline: &Baseline) -> Result<Vec<u8>, Failure> {
     let mut out = Vec::new();
     let result = if arguments.json {
         serde_json::to_writer(&mut out, baseline).map_err(io::Error::from).and_then(|()| writeln!(out))
@@ -241,7 +283,7 @@ fn tell(arguments: &LearnBaselineArguments, model: &Model, baseline: &Baseline) 
         describe(&mut out, &arguments.out, model, baseline)
     };
     result.map_err(|error| Failure::writing(Path::new("standard output"), error))?;
-    print(&out)
+    Ok(out)
 }
 
 fn describe(out: &mut impl Write, path: &Path, model: &Model, baseline: &Baseline) -> io::Result<()> {

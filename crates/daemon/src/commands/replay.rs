@@ -8,9 +8,11 @@ use clap::Args;
 use indicatif::ProgressBar;
 use seepd_logs::open_with;
 use seepd_logs::record::Clock;
+use seepd_monitor::baseline::Baseline;
 use seepd_monitor::event::{Event, Flag, Summary};
 use seepd_monitor::pipeline::{DutyCycle, Monitor, Pipeline};
 use seepd_monitor::repair::Repair;
+use seepd_signals::Sample;
 
 use super::reading::{BaselineArguments, ReadingArguments, RepairsArguments};
 use crate::advice::advice;
@@ -73,6 +75,13 @@ pub struct ReplayArguments {
     overwrite: OverwriteArguments,
 }
 
+impl ReplayArguments {
+    /// The logs.
+    pub fn logs(&self) -> &[PathBuf] {
+        &self.logs
+    }
+}
+
 /// Where events go besides standard output.
 struct Files {
     csv: Option<CsvSink<OutputFile>>,
@@ -85,59 +94,24 @@ struct Files {
 /// # Errors
 /// [`Failure`] for configuration, model, logs or output.
 pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
-    let (mut config, duty_cycles) = arguments.reading.load()?;
-    if let Some(mpa) = arguments.reference_mpa {
-        if !(0.1..=100.0).contains(&mpa) {
-            return Err(Failure::new(
-                Code::Usage,
-                format!("--reference-mpa is {mpa}; it must lie in 0.1 … 100 MPa (1 … 1000 bar)"),
-            ));
-        }
-        config.reference_dp_pa = mpa * 1e6;
-    }
-    let mut pipeline = Pipeline::new(config.monitor(duty_cycles))?;
-    let mut records = arguments.baseline.apply(&mut pipeline, &config)?;
-    let mut repairs = RepairsDue::new(arguments.repairs.read(&config)?);
-    let mut files = Files::begin(arguments, &config, &pipeline.config().duty_cycles)?;
-    let mut out = Printer::new(arguments, config.reference_dp_pa);
-    let notes = replay_logs(arguments, (&config, &mut repairs), &mut pipeline, &mut files, &mut out)?;
-    let summary = pipeline.summary();
-    let advice = summary.observed.as_ref().map(|observed| {
-        let source = config.command_source(arguments.logs.first().map(PathBuf::as_path));
-        advice(&summary, observed, &pipeline.config().duty_cycles, &source)
-    });
-    if let Some((output, record)) = &files.html {
-        for (record, monitor) in records.iter_mut().zip(pipeline.monitors()) {
-            // One that was learned on the way.
-            record.extend(monitor.baseline().filter(|own| record.last() != Some(own)).cloned());
-        }
-        let names = pipeline.monitors().iter().map(|monitor| monitor.name().unwrap_or_default().to_owned());
-        let baselines: Vec<_> = names.zip(records).collect();
-        let page = ReportPage {
-            record,
-            summary: &summary,
-            advice: advice.as_deref(),
-            alarm: &config.alarm,
-            area_m2_per_lpm: 1.0 / pipeline.config().flow_lpm(1.0),
-            operating_hours_per_year: config.operating_hours_per_year,
-            baselines: &baselines,
-        };
-        output.write(page.render())?;
+    let mut replay = Replay::begin(arguments)?;
+    let files = Files::begin(arguments, &replay.config, &replay.pipeline.config().duty_cycles)?;
+    let out = Printer::new(arguments, replay.config.reference_dp_pa);
+    let bar = out.progress_bar(&arguments.logs);
+    let mut told = Told { arguments, files, out };
+    let notes = replay.read_logs(&arguments.logs, counting(&bar), &mut told)?;
+    bar.finish_and_clear();
+    let Told { mut files, mut out, .. } = told;
+    let Replayed { summary, advice } = replay.summed_up(arguments.logs.first());
+    if let Some((output, record)) = files.html.take() {
+        output.write(replay.page(&record, &summary, advice.as_deref()))?;
     }
     files.finish(arguments)?;
     for note in notes {
         warn(&note);
     }
     out.summary(&summary, advice.as_deref())?;
-    if let (Some(rate), Some(monitor)) = (pipeline.wrong_rate_hz(), pipeline.monitors().first())
-        && summary.cycles == 0
-    {
-        return Err(Failure::data(format!(
-            "the command comes at {rate:.1} Hz, the model reads {} Hz: no cycle could be used; train a model for this \
-             rate (`controller.period_s` in the plant file)",
-            monitor.model().file().sample_rate_hz
-        )));
-    }
+    replay.check_rate(&summary)?;
     if !arguments.fail_on_fault {
         return Ok(Outcome::Good);
     }
@@ -152,6 +126,210 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
         }
         Flag::Healthy => Ok(Outcome::Good),
         Flag::Watch | Flag::Leak | Flag::Severe => Ok(Outcome::Finding),
+    }
+}
+
+/// Who hears of a replay.
+pub trait Audience {
+    /// A log begins.
+    fn begin_log(&mut self, _name: &str) {}
+    /// A sample is next.
+    fn take_sample(&mut self, _sample: &Sample) {}
+    /// The pipeline says something.
+    ///
+    /// # Errors
+    /// [`Failure`] that ends the replay.
+    fn take_event(&mut self, event: &Event<'_>) -> Result<(), Failure>;
+    /// A log has ended; what is to be known of it.
+    fn end_log(&mut self, _notes: &[String]) {}
+}
+
+/// A machine's record on its way through the pipeline: the replay without what is written of it.
+pub struct Replay {
+    config: AxisConfig,
+    pipeline: Pipeline,
+    /// Each duty cycle's baselines so far.
+    records: Vec<Vec<Baseline>>,
+    repairs: RepairsDue,
+}
+
+/// What a replay comes to.
+pub struct Replayed {
+    /// The last line.
+    pub summary: Summary,
+    /// What was seen and what to do, where there is no size.
+    pub advice: Option<String>,
+}
+
+impl Replay {
+    /// Reads configuration, models, baselines and the repair log.
+    ///
+    /// # Errors
+    /// [`Failure`] of any of them.
+    pub fn begin(arguments: &ReplayArguments) -> Result<Self, Failure> {
+        let (mut config, duty_cycles) = arguments.reading.load()?;
+        if let Some(mpa) = arguments.reference_mpa {
+            if !(0.1..=100.0).contains(&mpa) {
+                return Err(Failure::new(
+                    Code::Usage,
+                    format!("--reference-mpa is {mpa}; it must lie in 0.1 … 100 MPa (1 … 1000 bar)"),
+                ));
+            }
+            config.reference_dp_pa = mpa * 1e6;
+        }
+        let mut pipeline = Pipeline::new(config.monitor(duty_cycles))?;
+        let records = arguments.baseline.apply(&mut pipeline, &config)?;
+        let repairs = RepairsDue::new(arguments.repairs.read(&config)?);
+        Ok(Replay { config, pipeline, records, repairs })
+    }
+
+    /// What watches the record.
+    pub fn pipeline(&self) -> &Pipeline {
+        &self.pipeline
+    }
+
+    /// Reads the logs as one record, to its end; gives what is to be known of them.
+    ///
+    /// # Errors
+    /// [`Failure`] of a log, or of the audience.
+    pub fn read_logs(
+        &mut self,
+        logs: &[PathBuf],
+        on_bytes: impl FnMut(u64) + Clone + Send + 'static,
+        audience: &mut impl Audience,
+    ) -> Result<Vec<String>, Failure> {
+        let (mut notes, mut clock) = (Vec::new(), Clock::default());
+        let mapping = self.config.log_mapping();
+        for path in logs {
+            let mut source = open_with(path, &mapping, on_bytes.clone())?;
+            let name = path.display().to_string();
+            audience.begin_log(&name);
+            clock.begin(path);
+            while let Some(mut sample) = source.next_sample()? {
+                sample.time_ns = clock.in_one_record(sample.time_ns);
+                audience.take_sample(&sample);
+                self.take(&sample, audience)?;
+            }
+            let mut of_log = source.notes();
+            of_log.extend(clock.note(&name));
+            audience.end_log(&of_log);
+            notes.extend(of_log);
+        }
+        self.end(audience)?;
+        Ok(notes)
+    }
+
+    /// Takes a sample of the record.
+    ///
+    /// # Errors
+    /// [`Failure`] of the audience.
+    #[inline]
+    pub fn take(&mut self, sample: &Sample, audience: &mut impl Audience) -> Result<(), Failure> {
+        let mut heard = Ok(());
+        let mut tell = |event: &Event<'_>| {
+            if heard.is_ok() {
+                heard = audience.take_event(event);
+            }
+        };
+        while let Some(repair) = self.repairs.next_until(sample.time_ns, &self.pipeline) {
+            self.pipeline.repaired(&repair, &mut tell);
+        }
+        self.pipeline.push(sample, &mut tell);
+        heard
+    }
+
+    /// Ends the record.
+    ///
+    /// # Errors
+    /// [`Failure`] of the audience.
+    pub fn end(&mut self, audience: &mut impl Audience) -> Result<(), Failure> {
+        let mut heard = Ok(());
+        self.pipeline.finish(&mut |event| {
+            if heard.is_ok() {
+                heard = audience.take_event(event);
+            }
+        });
+        heard
+    }
+
+    /// What it all comes to; `log` is what advice names.
+    pub fn summed_up(&self, log: Option<&PathBuf>) -> Replayed {
+        let summary = self.pipeline.summary();
+        let advice = summary.observed.as_ref().map(|observed| {
+            let source = self.config.command_source(log.map(PathBuf::as_path));
+            advice(&summary, observed, &self.pipeline.config().duty_cycles, &source)
+        });
+        Replayed { summary, advice }
+    }
+
+    /// Checks that the record was not at another rate than the model's altogether.
+    ///
+    /// # Errors
+    /// [`Failure`] with both rates.
+    pub fn check_rate(&self, summary: &Summary) -> Result<(), Failure> {
+        if let (Some(rate), Some(monitor)) = (self.pipeline.wrong_rate_hz(), self.pipeline.monitors().first())
+            && summary.cycles == 0
+        {
+            return Err(Failure::data(format!(
+                "the command comes at {rate:.1} Hz, the model reads {} Hz: no cycle could be used; train a model for this \
+                 rate (`controller.period_s` in the plant file)",
+                monitor.model().file().sample_rate_hz
+            )));
+        }
+        Ok(())
+    }
+
+    /// The report of the record, as a page.
+    fn page(&mut self, record: &HtmlSink, summary: &Summary, advice: Option<&str>) -> String {
+        for (record, monitor) in self.records.iter_mut().zip(self.pipeline.monitors()) {
+            // One that was learned on the way.
+            record.extend(monitor.baseline().filter(|own| record.last() != Some(own)).cloned());
+        }
+        let monitors = self.pipeline.monitors();
+        let names = monitors.iter().map(|monitor| monitor.name().unwrap_or_default().to_owned());
+        let baselines: Vec<_> = names.zip(self.records.iter().cloned()).collect();
+        let page = ReportPage {
+            record,
+            summary,
+            advice,
+            alarm: &self.config.alarm,
+            area_m2_per_lpm: 1.0 / self.pipeline.config().flow_lpm(1.0),
+            operating_hours_per_year: self.config.operating_hours_per_year,
+            baselines: &baselines,
+        };
+        page.render()
+    }
+}
+
+/// What the command tells: on standard output and in files.
+struct Told<'a> {
+    arguments: &'a ReplayArguments,
+    files: Files,
+    out: Printer,
+}
+
+impl Audience for Told<'_> {
+    fn begin_log(&mut self, name: &str) {
+        if let Some((_, html)) = &mut self.files.html {
+            html.begin_log(name);
+        }
+    }
+
+    #[inline]
+    fn take_sample(&mut self, sample: &Sample) {
+        if let Some((_, html)) = &mut self.files.html {
+            html.take_sample(sample);
+        }
+    }
+
+    fn take_event(&mut self, event: &Event<'_>) -> Result<(), Failure> {
+        self.files.write(self.arguments, event).and_then(|()| self.out.event(event))
+    }
+
+    fn end_log(&mut self, notes: &[String]) {
+        if let Some((_, html)) = &mut self.files.html {
+            html.end_log(notes);
+        }
     }
 }
 
@@ -181,56 +359,6 @@ impl RepairsDue {
         let is_due = self.rest.last().is_some_and(|repair| repair.at_ns <= time_ns);
         if is_due { self.rest.pop() } else { None }
     }
-}
-
-fn replay_logs(
-    arguments: &ReplayArguments,
-    (config, repairs): (&AxisConfig, &mut RepairsDue),
-    pipeline: &mut Pipeline,
-    files: &mut Files,
-    out: &mut Printer,
-) -> Result<Vec<String>, Failure> {
-    let mut notes = Vec::new();
-    let mut failure = None;
-    let mut clock = Clock::default();
-    let bar = out.progress_bar(&arguments.logs);
-    let mapping = config.log_mapping();
-    for path in &arguments.logs {
-        let mut source = open_with(path, &mapping, counting(&bar))?;
-        let name = path.display().to_string();
-        if let Some((_, html)) = &mut files.html {
-            html.begin_log(&name);
-        }
-        clock.begin(path);
-        while let Some(mut sample) = source.next_sample()? {
-            sample.time_ns = clock.in_one_record(sample.time_ns);
-            if let Some((_, html)) = &mut files.html {
-                html.take_sample(&sample);
-            }
-            let mut tell = |event: &Event<'_>| {
-                if failure.is_none() {
-                    failure = files.write(arguments, event).and_then(|()| out.event(event)).err();
-                }
-            };
-            while let Some(repair) = repairs.next_until(sample.time_ns, pipeline) {
-                pipeline.repaired(&repair, &mut tell);
-            }
-            pipeline.push(&sample, &mut tell);
-        }
-        let mut of_log = source.notes();
-        of_log.extend(clock.note(&name));
-        if let Some((_, html)) = &mut files.html {
-            html.end_log(&of_log);
-        }
-        notes.extend(of_log);
-    }
-    pipeline.finish(&mut |event| {
-        if failure.is_none() {
-            failure = files.write(arguments, event).and_then(|()| out.event(event)).err();
-        }
-    });
-    bar.finish_and_clear();
-    failure.map_or(Ok(notes), Err)
 }
 
 impl Files {

@@ -164,7 +164,11 @@ pub fn read_plant(path: Option<&Path>) -> Result<MachineSpec, Failure> {
     MachineSpec::from_toml(&text).map_err(|error| Failure::configuration(path, error))
 }
 
-fn machine(arguments: &SimulateArguments) -> Result<MachineSpec, Failure> {
+/// The machine that is asked for.
+///
+/// # Errors
+/// [`Failure`] of the plant file or an argument.
+pub fn machine(arguments: &SimulateArguments) -> Result<MachineSpec, Failure> {
     let mut spec = read_plant(arguments.plant.as_deref())?;
     for assignment in &arguments.with {
         spec.set_effect(assignment)
@@ -214,7 +218,11 @@ const LARGEST_LEAK_M2: f64 = 1e-4;
 /// Where growth from nothing begins, m².
 const GROWTH_FROM_M2: f64 = 1e-8;
 
-fn runs(arguments: &SimulateArguments, spec: &MachineSpec) -> Result<Vec<CycleRun>, Failure> {
+/// What it is asked to do: a warm-up cycle, then those that are logged.
+///
+/// # Errors
+/// [`Failure`] of an argument.
+pub fn runs(arguments: &SimulateArguments, spec: &MachineSpec) -> Result<Vec<CycleRun>, Failure> {
     let start =
         check("--leak-area", arguments.leak_area.unwrap_or(spec.plant.leak_area_m2), 0.0, LARGEST_LEAK_M2)?;
     let load = check("--load-variation", arguments.load_variation, 0.0, 1.0)?;
@@ -263,28 +271,40 @@ fn parse_step(text: &str) -> Result<(f64, usize), Failure> {
 
 /// A message of `/axis/signals`. Pressures to 1 Pa, the rest to 1e-8, far below what a sensor tells.
 #[derive(Serialize)]
-pub(super) struct SignalsMessage {
-    pub(super) command: f64,
+pub struct SignalsMessage {
+    /// Valve command with the measurement's noise, share of full command.
+    pub command: f64,
+    /// The rest, unless only the command is asked for.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
-    pub(super) others: Option<OtherSignals>,
+    pub others: Option<OtherSignals>,
 }
 
+/// The signals beside the command, SI.
 #[derive(Serialize)]
-pub(super) struct OtherSignals {
-    pub(super) demand: f64,
-    pub(super) position: f64,
-    pub(super) p_supply: f64,
-    pub(super) p_inlet: f64,
-    pub(super) p_cap: f64,
-    pub(super) p_rod: f64,
-    pub(super) load: f64,
+pub struct OtherSignals {
+    /// Position demand, m.
+    pub demand: f64,
+    /// Position, m.
+    pub position: f64,
+    /// Supply pressure, Pa.
+    pub p_supply: f64,
+    /// Pressure at the valve's inlet, Pa.
+    pub p_inlet: f64,
+    /// Pressure in the cap chamber, Pa.
+    pub p_cap: f64,
+    /// Pressure in the rod chamber, Pa.
+    pub p_rod: f64,
+    /// Load force, N.
+    pub load: f64,
 }
 
 /// A message of `/axis/truth`.
 #[derive(Serialize)]
-struct TruthMessage {
-    leak_area: f64,
-    leak_flow: f64,
+pub struct TruthMessage {
+    /// Leak area, m².
+    pub leak_area: f64,
+    /// Flow through it, m³/s.
+    pub leak_flow: f64,
 }
 
 fn rounded(value: f64) -> f64 {
@@ -327,6 +347,43 @@ pub fn write_log(
         .map_err(writing)?;
     write_provenance(&mut sink, arguments, spec).map_err(writing)?;
 
+    let bar = progress_bar(runs.len() as u64 - 1, "simulating");
+    let mut line = Vec::with_capacity(256);
+    let clamped_pressures = each_message(arguments, spec, runs, |time_ns, cycle, message, of_leak| {
+        write_message(&mut sink, signals, time_ns, &mut line, message).map_err(writing)?;
+        if let Some(truth) = truth {
+            write_message(&mut sink, truth, time_ns, &mut line, of_leak).map_err(writing)?;
+        }
+        bar.set_position(cycle as u64);
+        Ok(())
+    })?;
+    bar.finish_and_clear();
+    sink.finish().map_err(writing)?;
+    sink.into_inner().finish()?;
+    warn_of_cavitation(clamped_pressures);
+    Ok(())
+}
+
+/// Says where pressures were held at 0.
+pub fn warn_of_cavitation(clamped_pressures: u64) {
+    if clamped_pressures > 0 {
+        warn(&format!(
+            "a pressure was held at 0 in {clamped_pressures} plant steps: cavitation is not modelled"
+        ));
+    }
+}
+
+/// Simulates, and hands on what the log holds: time, ns, number of the cycle, signals and truth. Gives the plant steps in which a pressure was
+/// held at 0.
+///
+/// # Errors
+/// [`Failure`] where the simulation went out of bounds, and what `take` gives.
+pub fn each_message(
+    arguments: &SimulateArguments,
+    spec: &MachineSpec,
+    runs: &[CycleRun],
+    mut take: impl FnMut(i64, usize, &SignalsMessage, &TruthMessage) -> Result<(), Failure>,
+) -> Result<u64, Failure> {
     let changes = arguments.oil_temperature.is_some() || arguments.supply_drift != 0.0;
     let at_run = |run: usize| {
         let share = run.saturating_sub(1) as f64 / runs.len().saturating_sub(2).max(1) as f64;
@@ -342,9 +399,7 @@ pub fn write_log(
     let start_at = check("--start-at", arguments.start_at, 0.0, spec.cycle.period_s)?;
     let skipped = warm_up + (start_at / period_s).round() as u64;
     let end: u64 = (0..runs.len()).map(|run| schedule.ticks_of(run)).sum();
-    let bar = progress_bar(runs.len() as u64 - 1, "simulating");
     let mut noise = Noise::new(arguments.seed, 2);
-    let mut line = Vec::with_capacity(256);
     for (tick, sample) in (0..end).zip(schedule) {
         if changes && sample.run != run {
             run = sample.run;
@@ -362,23 +417,10 @@ pub fn write_log(
         }
         let time_ns = ((tick - skipped) as f64 * period_s * 1e9).round() as i64;
         let message = SignalsMessage::of(&record, noisy, arguments.command_only);
-        write_message(&mut sink, signals, time_ns, &mut line, &message).map_err(writing)?;
-        if let Some(truth) = truth {
-            let message = TruthMessage { leak_area: record.leak_area, leak_flow: record.leak_flow };
-            write_message(&mut sink, truth, time_ns, &mut line, &message).map_err(writing)?;
-        }
-        bar.set_position(sample.run.saturating_sub(1) as u64);
+        let of_leak = TruthMessage { leak_area: record.leak_area, leak_flow: record.leak_flow };
+        take(time_ns, sample.run.saturating_sub(1), &message, &of_leak)?;
     }
-    bar.finish_and_clear();
-    sink.finish().map_err(writing)?;
-    sink.into_inner().finish()?;
-    if state.clamped_pressures > 0 {
-        warn(&format!(
-            "a pressure was held at 0 in {} plant steps: cavitation is not modelled",
-            state.clamped_pressures
-        ));
-    }
-    Ok(())
+    Ok(state.clamped_pressures)
 }
 
 pub(super) fn write_message(

@@ -85,6 +85,54 @@ const FULL_TEST: usize = 8192;
 /// # Errors
 /// [`Failure`] for arguments, plant file, training or output.
 pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
+    let claim = || {
+        let mut outputs = Outputs::new(arguments.overwrite, arguments.plant.as_deref());
+        Ok((outputs.claim(&arguments.out)?, outputs.claim_any(arguments.data.as_ref())?))
+    };
+    let (trained, (out, data)) = trained(arguments, claim)?;
+    out.write(&trained.json)?;
+    if let Some(data) = data {
+        write_data(&data, &trained)?;
+    }
+    let mut report = Vec::new();
+    if arguments.json {
+        report = json_report(&arguments.out.display().to_string(), &trained)?.into_bytes();
+        report.push(b'\n');
+    } else {
+        print_report(&mut report, arguments, &trained)
+            .map_err(|error| Failure::writing("standard output".as_ref(), error))?;
+    }
+    print(&report)?;
+    Ok(Outcome::Good)
+}
+
+/// The report as one JSON object, `seepd.training/1`.
+///
+/// # Errors
+/// None that is known.
+pub fn json_report(model: &str, trained: &Trained) -> Result<String, Failure> {
+    let told = JsonReport {
+        schema: "seepd.training/1",
+        model: model.to_owned(),
+        trees: trained.model.ensemble().trees(),
+        nodes: trained.model.ensemble().nodes(),
+        features: trained.model.feature_names(),
+        out_of_bag_rms: trained.found.out_of_bag_rms,
+        report: &trained.report,
+        relative: &trained.relative,
+    };
+    serde_json::to_string(&told)
+        .map_err(|error| Failure::new(Code::Internal, format!("writing the report as JSON: {error}")))
+}
+
+/// Trains; `begin` is called once the arguments are known to be good, before the work.
+///
+/// # Errors
+/// As [`run`], and what `begin` gives.
+pub fn trained<T>(
+    arguments: &TrainArguments,
+    begin: impl FnOnce() -> Result<T, Failure>,
+) -> Result<(Trained, T), Failure> {
     let limits = [
         ("--observations", arguments.observations as f64, 100.0, 1e6),
         ("--held-out", arguments.held_out as f64, 100.0, 1e6),
@@ -104,8 +152,7 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
         }
     }
     let spec = read_plant(arguments.plant.as_deref())?;
-    let mut outputs = Outputs::new(arguments.overwrite, arguments.plant.as_deref());
-    let (out, data) = (outputs.claim(&arguments.out)?, outputs.claim_any(arguments.data.as_ref())?);
+    let begun = begin()?;
     let settings = TrainingSettings {
         seed: arguments.seed,
         observations: arguments.observations,
@@ -124,31 +171,7 @@ pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
         ..TrainingSettings::default()
     };
     let trained = with_progress(&spec, &settings).map_err(|error| failure(&error))?;
-    out.write(&trained.json)?;
-    if let Some(data) = data {
-        write_data(&data, &trained)?;
-    }
-    let mut report = Vec::new();
-    if arguments.json {
-        let told = JsonReport {
-            schema: "seepd.training/1",
-            model: arguments.out.display().to_string(),
-            trees: trained.model.ensemble().trees(),
-            nodes: trained.model.ensemble().nodes(),
-            features: trained.model.feature_names(),
-            out_of_bag_rms: trained.found.out_of_bag_rms,
-            report: &trained.report,
-            relative: &trained.relative,
-        };
-        serde_json::to_writer(&mut report, &told)
-            .map_err(|error| Failure::new(Code::Internal, format!("writing the report as JSON: {error}")))?;
-        report.push(b'\n');
-    } else {
-        print_report(&mut report, arguments, &trained)
-            .map_err(|error| Failure::writing("standard output".as_ref(), error))?;
-    }
-    print(&report)?;
-    Ok(Outcome::Good)
+    Ok((trained, begun))
 }
 
 /// `seepd.training/1`: what was trained and what it is worth on machines that it has not seen.

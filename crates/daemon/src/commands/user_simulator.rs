@@ -11,7 +11,7 @@ use seepd_gap::SimulatedAxis;
 use seepd_settings::side_file;
 use seepd_simulator::{Budget, SimulatorAxis, SimulatorSpec, Simulators, proposal};
 
-use crate::cli::Outcome;
+use crate::cli::{Outcome, start_words};
 use crate::failure::{Code, Failure};
 use crate::sink::plain::one_line;
 use crate::sink::terminal::print;
@@ -83,9 +83,8 @@ impl SimulatorArguments {
             runs: self.simulations.map(|runs| runs as usize),
             time: self.minutes.map(|minutes| Duration::from_secs_f64(60.0 * minutes)),
         };
-        let program =
-            std::env::current_exe().map_err(|error| Failure::new(Code::Internal, error.to_string()))?;
-        let host = vec![program.display().to_string(), "fmu-host".into()];
+        let mut host = start_words()?;
+        host.push("fmu-host".into());
         let axis = SimulatorAxis::new(spec, Simulators::new(folder, host, budget));
         axis.tried().map_err(|error| Failure::configuration(path, error))?;
         Ok(Some(axis))
