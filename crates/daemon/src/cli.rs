@@ -35,6 +35,8 @@ enum Command {
     Train(commands::train::TrainArguments),
     #[cfg(feature = "study")]
     Study(commands::study::StudyArguments),
+    #[cfg(feature = "study")]
+    Fleet(commands::fleet::FleetArguments),
     Replay(commands::replay::ReplayArguments),
     LearnBaseline(commands::learn_baseline::LearnBaselineArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
@@ -90,6 +92,8 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> 
         Command::Train(arguments) => commands::train::run(arguments),
         #[cfg(feature = "study")]
         Command::Study(arguments) => commands::study::run(arguments),
+        #[cfg(feature = "study")]
+        Command::Fleet(arguments) => commands::fleet::run(arguments),
         Command::Replay(arguments) => commands::replay::run(arguments),
         Command::LearnBaseline(arguments) => commands::learn_baseline::run(arguments),
         Command::Evaluate(arguments) => commands::evaluate::run(arguments),

@@ -13,6 +13,8 @@ pub mod check;
 pub mod demo;
 pub mod evaluate;
 pub mod explain;
+#[cfg(feature = "study")]
+pub mod fleet;
 #[cfg(feature = "gap")]
 pub mod gap;
 #[cfg(feature = "live")]
