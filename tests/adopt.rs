@@ -1,16 +1,10 @@
 //! `adopt` on whole logs of machines that the embedded model does not know: what comes of it, and what it refuses.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[path = "support/mod.rs"]
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::support::{estimates, replay, seepd, simulate, stderr, stdout};
 use serde_json::Value;
-use support::{estimates, replay, seepd, simulate, stderr, stdout};
 
 /// A press of another bore, valve, pump and controller with a 7 s cycle.
 const PLANT: &str = r#"

@@ -1,14 +1,10 @@
 //! What the program says to somebody whose machine the model does not know.
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
 
 use std::fs;
 use std::path::Path;
 
+use crate::support::{OTHER_PRESS, replay, seepd, simulate, stderr, stdout, summary};
 use serde_json::Value;
-use support::{OTHER_PRESS, replay, seepd, simulate, stderr, stdout, summary};
 
 /// The last line on the terminal, and the summary of the JSON lines.
 fn told(log: &Path, more: &[&str]) -> (String, Value) {

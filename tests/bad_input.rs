@@ -1,10 +1,5 @@
 //! Bad input, each with its own test: one clear line or a counted rejection, and every good sample is used.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
-
 use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -14,7 +9,7 @@ use seepd_logs::McapSource;
 use seepd_logs::Source;
 use seepd_signals::Signal;
 
-use support::{estimates, fixture, reasons, replay, seepd, simulate, stderr, summary};
+use crate::support::{estimates, fixture, reasons, replay, seepd, simulate, stderr, summary};
 
 /// Exit code and the one line of a run that must fail.
 fn refusal<A: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = A>) -> (i32, String) {

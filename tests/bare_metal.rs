@@ -1,9 +1,7 @@
 //! The same cycle on a Cortex-M4F, in an emulator: the same bits as here.
 //!
 //! Needs the target `thumbv7em-none-eabihf` and `qemu-system-arm`, which `.ci/run` installs; without them the test
-//! says so and is counted as ignored by name: run it with `cargo test -p seepd --test bare_metal -- --ignored`.
-
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+//! says so and is counted as ignored by name: run it with `cargo test -p seepd --test program bare_metal:: -- --ignored`.
 
 use std::fmt::Write;
 use std::path::Path;

@@ -1,18 +1,12 @@
 //! `learn-baseline` and what is told relative to it, on whole logs: what a baseline cancels, and what it refuses to estimate.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[expect(dead_code, reason = "other tests use the rest")]
-#[path = "support/mod.rs"]
-mod support;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use serde_json::Value;
 
-use support::{estimates, reasons, seepd, simulate, stderr, stdout, summary};
+use crate::support::{estimates, reasons, seepd, simulate, stderr, stdout, summary};
 
 /// A folder with the baselines of two machines: the nominal one, and one with dry friction and a valve that is off its null.
 struct Place {
@@ -49,7 +43,7 @@ impl Place {
     }
 
     fn follow(&self, baseline: &str, log: &Path) -> Vec<Value> {
-        support::replay(log, &["--baseline", self.baseline(baseline).to_str().unwrap()])
+        crate::support::replay(log, &["--baseline", self.baseline(baseline).to_str().unwrap()])
     }
 }
 
@@ -123,7 +117,7 @@ fn a_baseline_of_a_leaking_machine_is_remarked_on_and_its_new_seal_shows_as_impr
 fn a_machine_unlike_training_has_no_estimate() {
     let place = &*PLACE;
     let log = place.log("strange", &["--cycles", "8", "--with", "valve_deadband.half_width=0.01"]);
-    let lines = support::replay(&log, &[]);
+    let lines = crate::support::replay(&log, &[]);
     assert!(estimates(&lines).is_empty(), "{lines:?}");
     assert!(reasons(&lines).iter().all(|reason| reason == "unlike_training"), "{:?}", reasons(&lines));
     let cycles = &lines[..lines.len() - 1];
@@ -139,7 +133,7 @@ fn a_machine_unlike_training_has_no_estimate() {
 fn a_leak_beyond_training_is_severe() {
     let place = &*PLACE;
     let log = place.log("burst", &["--cycles", "8", "--leak-area", "2e-5"]);
-    for lines in [support::replay(&log, &[]), place.follow("nominal", &log)] {
+    for lines in [crate::support::replay(&log, &[]), place.follow("nominal", &log)] {
         assert_eq!(summary(&lines)["flag"], "severe", "{}", summary(&lines));
         assert!(reasons(&lines).iter().all(|reason| reason == "incomplete"), "{:?}", reasons(&lines));
     }
@@ -150,7 +144,7 @@ fn a_leak_beyond_training_is_severe() {
 fn contributions_of_the_features_add_up_to_the_estimate() {
     let place = &*PLACE;
     let log = place.log("explained", &["--cycles", "12", "--leak-area", "2e-8", "--leak-growth", "4e-6"]);
-    let lines = support::replay(&log, &[]);
+    let lines = crate::support::replay(&log, &[]);
     let explained: Vec<(f64, f64)> = lines[..lines.len() - 1]
         .iter()
         .filter_map(|line| {

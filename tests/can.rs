@@ -1,8 +1,4 @@
 //! CAN logs: fields against an independent decoder, and whole runs from candump's format with a DBC file.
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -15,7 +11,7 @@ use seepd_logs::can::dbc::{Dbc, Reading};
 use seepd_signals::Signal;
 use serde_json::Value;
 
-use support::{estimates, fixture, replay, seepd, simulate, stderr, stdout, summary};
+use crate::support::{estimates, fixture, replay, seepd, simulate, stderr, stdout, summary};
 
 /// Command and demand in an 11-bit frame, Motorola; load in a 29-bit FD frame, Intel, behind a multiplexer.
 const DBC: &str = r#"VERSION ""

@@ -1,17 +1,11 @@
 //! What has changed since the baseline, on whole logs: the cause is named, the leak is sized beside it, and nothing but a leak is called one.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[expect(dead_code, reason = "other tests use the rest")]
-#[path = "support/mod.rs"]
-mod support;
-
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
 use serde_json::Value;
 
-use support::{seepd, simulate, stdout, summary};
+use crate::support::{seepd, simulate, stdout, summary};
 
 /// A machine of the series: parameters within 5 %, load within 2 % from cycle to cycle.
 const MACHINE: [&str; 8] =
@@ -49,7 +43,7 @@ impl Place {
         let mut more = vec!["--cycles", "10", "--seed", "5", "--leak-area", &area];
         more.extend(with.iter().flat_map(|effect| ["--with", *effect]));
         let log = self.log(name, &more);
-        support::replay(&log, &["--baseline", self.baseline().to_str().unwrap()])
+        crate::support::replay(&log, &["--baseline", self.baseline().to_str().unwrap()])
     }
 }
 
@@ -148,7 +142,7 @@ fn a_condition_is_told_once_as_it_is_found_with_what_to_do() {
     assert_eq!(text.matches("valve: null shifted (+1.0").count(), 2, "{text}");
     assert!(text.contains("\nbeside it: valve: null shifted"), "{text}");
     assert!(text.contains("Adjust the null, or check the spool's feedback."), "{text}");
-    let lines = support::replay(&log, &["--baseline", baseline.to_str().unwrap()]);
+    let lines = crate::support::replay(&log, &["--baseline", baseline.to_str().unwrap()]);
     let last = cycles(&lines).last().unwrap();
     let first = cycles(&lines).next().unwrap();
     assert_eq!(last["onset_cycle"], first["cycle"], "{last}");

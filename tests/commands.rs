@@ -1,11 +1,8 @@
 //! The commands as a user runs them.
 
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
-
 use std::fs;
 
-use support::{estimates, fixture, reasons, replay, seepd, simulate, stderr, stdout, summary};
+use crate::support::{estimates, fixture, reasons, replay, seepd, simulate, stderr, stdout, summary};
 
 fn close(value: f64, expected: f64, share: f64) {
     assert!((value / expected - 1.0).abs() <= share, "{value} {expected}");
@@ -323,7 +320,7 @@ fn logs_in_a_row_are_one_record() {
 fn help_tells_examples_and_exit_codes() {
     let top = stdout(&seepd(["--help"]));
     assert!(top.contains("Exit codes: 0 good, 1 a finding"));
-    let commands = support::commands();
+    let commands = crate::support::commands();
     assert!(commands.len() >= 9, "{commands:?}");
     for command in commands {
         let text = stdout(&seepd([&command, "--help"]));

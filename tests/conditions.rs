@@ -3,8 +3,6 @@
 //!
 //! A shift of the valve's null is the same in every sample, whatever the machine does: it is planted as an offset of the command.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
 use std::sync::{Arc, LazyLock};
 
 use rayon::prelude::*;
@@ -258,7 +256,7 @@ fn load_and_weather_are_no_condition() {
 }
 
 #[test]
-#[ignore = "some minutes: cargo test --release -p seepd --test conditions -- --ignored --nocapture"]
+#[ignore = "some minutes: cargo test --release -p seepd --test program conditions:: -- --ignored --nocapture"]
 fn load_and_weather_are_no_condition_in_ten_thousand_cycles() {
     assert_nothing_found(&healthy(40, 10, 26), 10_000);
 }

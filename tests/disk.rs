@@ -1,15 +1,5 @@
 //! Disks that are full, folders in the way, files of others: what the program writes, and what it leaves alone.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-#![expect(clippy::disallowed_methods, reason = "tests of a live daemon wait")]
-
-#[path = "support/daemon.rs"]
-#[expect(dead_code, reason = "other tests use the rest")]
-mod daemon;
-#[path = "support/mod.rs"]
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
-
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -18,8 +8,8 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-use daemon::{Daemon, Machine, cycle, free_port, json, machine_toml, until};
-use support::{fixture, seepd, simulate, stderr, stdout};
+use crate::daemon::{Daemon, Machine, cycle, free_port, json, machine_toml, until};
+use crate::support::{fixture, seepd, simulate, stderr, stdout};
 
 const SOON: Duration = Duration::from_secs(20);
 
@@ -113,13 +103,13 @@ fn a_full_disk_is_told_once_and_counted_and_recovery_is_told() {
     );
     let daemon = Daemon::start(folder.path(), &config);
     let machine = Machine::start(&socket, cycle("nominal_leak_0.csv"));
-    until("a page", SOON, || daemon::ask(port, "GET", "/healthz", "").is_some());
+    until("a page", SOON, || crate::daemon::ask(port, "GET", "/healthz", "").is_some());
     until("what is dropped is counted", SOON, || {
         sink(port, "recording")
             .is_some_and(|sink| sink["good"] == false && sink["dropped"].as_u64() > Some(1000))
     });
     until("the state's complaint", SOON, || sink(port, "state").is_some_and(|sink| sink["good"] == false));
-    let metrics = daemon::ask(port, "GET", "/metrics", "").unwrap().body;
+    let metrics = crate::daemon::ask(port, "GET", "/metrics", "").unwrap().body;
     assert!(!metrics.contains("seepd_sink_dropped_total{sink=\"recording\"} 0\n"), "{metrics}");
     assert!(files(&state.join("recordings")).is_empty());
     fs::remove_file(ballast).unwrap();
@@ -146,7 +136,7 @@ fn one_state_folder_has_one_daemon() {
         folder.path(),
         &format!("{}[http]\nlisten = \"127.0.0.1:{port}\"\n", config("one.sock")),
     );
-    until("a page", SOON, || daemon::ask(port, "GET", "/healthz", "").is_some());
+    until("a page", SOON, || crate::daemon::ask(port, "GET", "/healthz", "").is_some());
     let path = folder.path().join("second.toml");
     fs::write(&path, config("two.sock")).unwrap();
     let output = seepd(["run", "--config", path.to_str().unwrap()]);
@@ -169,7 +159,7 @@ fn a_state_folder_that_cannot_be_used_is_waited_for() {
     );
     let daemon = Daemon::start(folder.path(), &config);
     let machine = Machine::start(&socket, cycle("nominal_leak_0.csv"));
-    until("a page", SOON, || daemon::ask(port, "GET", "/healthz", "").is_some());
+    until("a page", SOON, || crate::daemon::ask(port, "GET", "/healthz", "").is_some());
     for name in ["state", "mqtt"] {
         until(name, SOON, || sink(port, name).is_some_and(|sink| sink["good"] == false));
     }

@@ -1,8 +1,5 @@
 //! What the documents say is what the program does.
 
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -92,7 +89,7 @@ fn changelog_and_commands_page_name_every_command() {
     let changes = fs::read_to_string(root().join("CHANGELOG.md")).unwrap();
     let page = fs::read_to_string(root().join("docs/commands.md")).unwrap();
     let headings: String = page.lines().filter(|line| line.starts_with("## ")).collect();
-    for command in support::commands() {
+    for command in crate::support::commands() {
         let name = format!("`seepd {command}`");
         assert!(changes.contains(&name), "{command}");
         assert!(headings.contains(&name), "{command}");
@@ -119,13 +116,13 @@ fn links_lead_somewhere() {
 #[test]
 fn reasons_are_documented_as_they_are_explained() {
     let text = fs::read_to_string(root().join("docs/reasons.md")).unwrap();
-    let listed = support::stdout(&support::seepd(["explain"]));
+    let listed = crate::support::stdout(&crate::support::seepd(["explain"]));
     assert!(text == listed, "write it anew: seepd explain > docs/reasons.md");
 }
 
 #[test]
 fn effects_are_documented_as_the_catalogue_has_them() {
     let text = fs::read_to_string(root().join("docs/effects.md")).unwrap();
-    let listed = support::stdout(&support::seepd(["simulate", "--list-effects"]));
+    let listed = crate::support::stdout(&crate::support::seepd(["simulate", "--list-effects"]));
     assert!(text == listed, "write it anew: seepd simulate --list-effects > docs/effects.md");
 }

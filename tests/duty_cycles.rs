@@ -1,17 +1,6 @@
 //! An axis with several duty cycles: each cycle is known by its shape, has its own model and baseline, and one that no model knows has no
 //! estimate.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[cfg(feature = "live")]
-#[expect(dead_code, reason = "other tests use the rest")]
-#[expect(clippy::disallowed_methods, reason = "tests of a live daemon wait")]
-#[path = "support/daemon.rs"]
-mod daemon;
-#[expect(dead_code, reason = "other tests use the rest")]
-#[path = "support/mod.rs"]
-mod support;
-
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -21,7 +10,7 @@ use seepd_logs::LogMapping;
 use seepd_signals::Signal;
 use serde_json::Value;
 
-use support::{seepd, simulate, stderr, stdout};
+use crate::support::{seepd, simulate, stderr, stdout};
 
 /// A shorter stroke in a shorter time.
 const SHORT: &str = r#"[cycle]
@@ -154,7 +143,7 @@ impl Place {
 
     fn replay(&self, configuration: &str, log: &Path, more: &[&str]) -> Vec<Value> {
         let configuration = self.path(configuration);
-        support::replay(log, &[&["--config", configuration.to_str().unwrap()], more].concat())
+        crate::support::replay(log, &[&["--config", configuration.to_str().unwrap()], more].concat())
     }
 }
 
@@ -301,7 +290,7 @@ fn wrong_duty_cycles_are_one_line_each() {
 #[test]
 #[cfg(feature = "live")]
 fn the_daemon_keeps_a_baseline_for_each() {
-    use daemon::{Daemon, axis_status, free_port, until};
+    use crate::daemon::{Daemon, axis_status, free_port, until};
 
     let place = &*PLACE;
     let both = ["normal", "light"];
@@ -334,7 +323,7 @@ fn the_daemon_keeps_a_baseline_for_each() {
     // Both sums are there again; the page names both.
     let port = free_port();
     let socket = folder.path().join("in.sock");
-    let page = format!("{}[http]\nlisten = \"127.0.0.1:{port}\"\n", daemon::machine_toml(&socket));
+    let page = format!("{}[http]\nlisten = \"127.0.0.1:{port}\"\n", crate::daemon::machine_toml(&socket));
     let _daemon = Daemon::start(folder.path(), &configuration(&page));
     until("an answer", std::time::Duration::from_secs(10), || axis_status(port).is_some());
     let status = axis_status(port).unwrap();

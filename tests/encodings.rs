@@ -1,8 +1,4 @@
 //! Logs with protobuf and ROS 2 messages: the same samples as from JSON, and one line for what does not fit.
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -22,7 +18,7 @@ use seepd_logs::survey::{FieldSurvey, survey};
 use seepd_logs::{LogError, LogMapping, Selection, SignalMapping};
 use seepd_signals::Signal;
 
-use support::{fixture, python, replay, simulate};
+use crate::support::{fixture, python, replay, simulate};
 
 /// Mapping of the command (in percent) and the cap's pressure (second of three, in bar) with the message's own time.
 fn mapping() -> Vec<(Signal, SignalMapping)> {
@@ -370,7 +366,7 @@ for path in sys.argv[1:]:
         found[path] = [record.name for record in reader.iter_metadata()] + [record.name for record in reader.iter_attachments()]
 print(json.dumps(found))";
     let output = python.args(["-c", script]).args([&log, &estimates]).output().unwrap();
-    let found: serde_json::Value = serde_json::from_str(&support::stdout(&output)).unwrap();
+    let found: serde_json::Value = serde_json::from_str(&crate::support::stdout(&output)).unwrap();
     let signals = &found["/axis/signals"];
     assert_eq!(signals["schema"], "seepd.Signals");
     let commands: Vec<f64> =

@@ -1,16 +1,11 @@
 //! `seepd evaluate`: figures that are the same when they are computed by hand from a replay, and truth that is missing.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use support::{replay, seepd, simulate, stderr, stdout};
+use crate::support::{replay, seepd, simulate, stderr, stdout};
 
 const NOISY: [&str; 4] = ["--noise", "0.003", "--load-variation", "0.05"];
 
@@ -145,7 +140,7 @@ fn the_truth_may_be_a_flow_in_a_column_of_any_name() {
     let mcap = log(folder.path(), "rig.mcap", &["--cycles", "4", "--leak-area", "1e-6"]);
     let lpm = evaluate(&[&mcap], &[])["detection"][0]["onsets"][0]["leak_lpm"].as_f64().unwrap();
     let mut text = String::from("t_s;command;flow meter\n");
-    let commands = support::fixture("nominal_leak_1e-6.csv");
+    let commands = crate::support::fixture("nominal_leak_1e-6.csv");
     let rows = fs::read_to_string(commands).unwrap();
     let values: Vec<&str> = rows.lines().skip(1).map(|row| row.split(',').nth(1).unwrap()).collect();
     for number in 0..3 * values.len() {
@@ -241,13 +236,13 @@ fn causes_are_judged_on_simulated_machines_in_a_matrix_and_by_their_delays() {
         (&["press.mcap"][..], 64, "cannot be used with"),
         (&["--plant", "/nowhere.toml"], 66, "/nowhere.toml"),
         (
-            &["--plant", support::fixture("other_press.toml").to_str().unwrap()],
+            &["--plant", crate::support::fixture("other_press.toml").to_str().unwrap()],
             78,
             "name the model's plant file",
         ),
     ] {
         let output = run(more);
         assert_eq!(output.status.code(), Some(code), "{more:?}");
-        assert!(support::stderr(&output).contains(what), "{}", support::stderr(&output));
+        assert!(crate::support::stderr(&output).contains(what), "{}", crate::support::stderr(&output));
     }
 }

@@ -1,8 +1,4 @@
 //! Diagnoses of the gap between simulator and machine, as a user runs them.
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -13,7 +9,7 @@ use seepd_sim::cycle::DriveSample;
 use seepd_sim::electric::ElectricAxis;
 use serde_json::Value;
 
-use support::{fixture, seepd, simulate, stderr, stdout};
+use crate::support::{fixture, seepd, simulate, stderr, stdout};
 
 fn text_of(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -296,10 +292,13 @@ fn a_model_trained_on_the_emitted_plant_sizes_the_leak_that_the_default_one_does
         (last / PLANTED_M2 - 1.0).abs()
     };
     let (by_default, by_retrained) =
-        (support::replay(&log, &[]), support::replay(&log, &["--model", text_of(&model)]));
+        (crate::support::replay(&log, &[]), crate::support::replay(&log, &["--model", text_of(&model)]));
     // The default model sees that it knows no such machine; what it would have said is still shown.
-    assert_eq!(support::summary(&by_default)["reason"], "unlike_training");
-    assert!(support::estimates(&by_default).is_empty() && !support::estimates(&by_retrained).is_empty());
+    assert_eq!(crate::support::summary(&by_default)["reason"], "unlike_training");
+    assert!(
+        crate::support::estimates(&by_default).is_empty()
+            && !crate::support::estimates(&by_retrained).is_empty()
+    );
     let (default, retrained) = (error(&by_default), error(&by_retrained));
     // 174 % and 0.1 % when this was written; a model of a quarter of the usual observations is good to some percent.
     assert!(default > 1.0 && retrained < 0.1, "default {default}, retrained {retrained}");
@@ -472,7 +471,7 @@ fn is_under_the_floor(found: &Value) -> bool {
 /// Each effect of the catalogue, planted alone where it acts, is the first of the answer or of its equivalents; one that leaves no signature is
 /// said not to be there.
 #[test]
-#[ignore = "a quarter of an hour: cargo test --release -p seepd --test gap -- --ignored --nocapture each_effect"]
+#[ignore = "a quarter of an hour: cargo test --release -p seepd --test program gap::each_effect -- --ignored --nocapture"]
 fn each_effect_alone_is_named_or_said_to_be_invisible() {
     let folder = tempfile::tempdir().unwrap();
     let log = folder.path().join("planted.mcap");

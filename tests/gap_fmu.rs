@@ -1,18 +1,12 @@
 //! `gap` with an FMU as the plant: of both versions, written in C apart from our laws, well behaved and otherwise.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[path = "support/mod.rs"]
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
-
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use crate::support::{fixture, seepd, stderr, stdout};
 use serde_json::Value;
-use support::{fixture, seepd, stderr, stdout};
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 

@@ -1,11 +1,6 @@
 //! `gap` with a simulator of the user's: a program in another language, well behaved and otherwise.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 #![expect(clippy::disallowed_methods, reason = "a program that hangs is given up in its time")]
-
-#[path = "support/mod.rs"]
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
 
 use std::fs;
 use std::io::Write;
@@ -13,10 +8,10 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use crate::support::{fixture, seepd, stderr, stdout};
 use seepd_sim::cycle::DriveSample;
 use seepd_sim::electric::ElectricAxis;
 use serde_json::Value;
-use support::{fixture, seepd, stderr, stdout};
 
 /// Whether there is a Python to be a user's simulator; where there is none these tests are left out, and say so.
 fn python() -> bool {

@@ -1,14 +1,5 @@
 //! Logs that are made to hurt: small ones that want much memory, time or a way round the mapping. Each is read or refused
 //! within 64 MiB above what a good log takes, and what is good beside it counts.
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[cfg(feature = "live")]
-#[expect(clippy::disallowed_methods, reason = "tests of a live daemon wait")]
-#[expect(dead_code, reason = "other tests use the rest")]
-#[path = "support/daemon.rs"]
-mod daemon;
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
 
 use std::fs;
 use std::io::Cursor;
@@ -18,7 +9,7 @@ use std::process::{Command, Output};
 use mcap::records::MessageHeader;
 use serde_json::Value;
 
-use support::{fixture, seepd, stderr};
+use crate::support::{fixture, seepd, stderr};
 
 /// What the program takes for a good log, bytes of writable memory: its own data, stacks, buffers, the model's trees.
 const GOOD_LOG_BYTES: u64 = 24 << 20;
@@ -640,7 +631,7 @@ fn the_proposed_mapping_has_the_time_column_and_its_unit() {
     let path = file(&folder, "log.csv", text);
     let log = path.to_str().unwrap();
     let inspected = seepd(["inspect", "--time-column", "time_ms", log]);
-    let proposed = support::stdout(&inspected);
+    let proposed = crate::support::stdout(&inspected);
     assert!(proposed.starts_with("time_column = \"time_ms\"\ntime_unit = \"ms\"\n"), "{proposed}");
     let told = "by its name, the column `time_ms` is taken to be in ms";
     assert!(
@@ -652,8 +643,11 @@ fn the_proposed_mapping_has_the_time_column_and_its_unit() {
     let check = seepd(["check", config.to_str().unwrap()]);
     assert_eq!(check.status.code(), Some(0), "{}", stderr(&check));
     let read = |config: &Path| {
-        let lines = support::replay(&path, &["--config", config.to_str().unwrap()]);
-        (support::summary(&lines)["duration_s"].as_f64().unwrap(), support::estimates(&lines).len())
+        let lines = crate::support::replay(&path, &["--config", config.to_str().unwrap()]);
+        (
+            crate::support::summary(&lines)["duration_s"].as_f64().unwrap(),
+            crate::support::estimates(&lines).len(),
+        )
     };
     let (duration_s, cycles) = read(&config);
     assert!((duration_s - 20.0).abs() < 0.01, "{duration_s}");
@@ -681,9 +675,9 @@ fn a_text_comes_through_a_fifo_and_an_mcap_log_is_refused() {
     let path = fifo.to_str().unwrap();
     let text = fs::read(fixture("nominal_leak_1e-6.csv")).unwrap();
     let output = fed(text.clone(), &["replay", "--json", path]);
-    let lines = support::stdout(&output);
+    let lines = crate::support::stdout(&output);
     assert_eq!(lines.lines().count(), 2, "{lines}");
-    assert!(support::stdout(&fed(text, &["inspect", path])).contains("[signals.command]"));
+    assert!(crate::support::stdout(&fed(text, &["inspect", path])).contains("[signals.command]"));
     let output = fed(log("json", ("a", "jsonschema", b""), &[]), &["replay", path]);
     assert_eq!(output.status.code(), Some(65));
     assert!(stderr(&output).contains("MCAP is not read from a pipe"), "{}", stderr(&output));
@@ -745,7 +739,7 @@ fn control_characters_in_names_do_not_reach_the_terminal() {
         }
     }
     let proposed = seepd(["inspect", log]);
-    let proposed: toml::Value = toml::from_str(&support::stdout(&proposed)).unwrap();
+    let proposed: toml::Value = toml::from_str(&crate::support::stdout(&proposed)).unwrap();
     // The mapping has the very name.
     assert_eq!(proposed["signals"]["command"]["topic"].as_str(), Some(evil));
 }
@@ -757,7 +751,7 @@ fn a_fifo_without_a_writer_holds_up_its_axis_alone() {
     let folder = tempfile::tempdir().unwrap();
     let fifo = folder.path().join("fifo");
     assert!(Command::new("mkfifo").arg(&fifo).status().unwrap().success());
-    let port = daemon::free_port();
+    let port = crate::daemon::free_port();
     let config = format!(
         "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n\
          [[axes]]\naxis = \"waiting\"\n[axes.source]\nlog = \"{}\"\n\
@@ -765,13 +759,13 @@ fn a_fifo_without_a_writer_holds_up_its_axis_alone() {
         fifo.display(),
         fixture("nominal_leak_1e-6.csv").display()
     );
-    let running = daemon::Daemon::start(folder.path(), &config);
+    let running = crate::daemon::Daemon::start(folder.path(), &config);
     let samples = |axis: &str| {
-        let answer = daemon::ask(port, "GET", &format!("/api/v1/axes/{axis}"), "")?;
+        let answer = crate::daemon::ask(port, "GET", &format!("/api/v1/axes/{axis}"), "")?;
         answer.json()["source"]["samples"].as_u64()
     };
     let long = std::time::Duration::from_secs(30);
-    daemon::until("the other axis reads", long, || samples("reading") == Some(10_000));
+    crate::daemon::until("the other axis reads", long, || samples("reading") == Some(10_000));
     assert_eq!(samples("waiting"), Some(0));
     assert_eq!(running.terminate().0.code(), Some(0));
 }

@@ -2,13 +2,6 @@
 //!
 //! Frames come through a Unix datagram socket, laid out as the kernel does, so that no CAN interface is needed; the kernel's
 //! CAN and systemd are tested in virtual machines (tests/vm).
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-#![expect(clippy::disallowed_methods, reason = "tests of a live daemon wait")]
-
-#[path = "support/daemon.rs"]
-mod daemon;
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
 
 use std::fs;
 use std::os::unix::net::UnixDatagram;
@@ -17,11 +10,11 @@ use std::process::Command;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use daemon::{
+use crate::daemon::{
     Daemon, Machine, Mosquitto, ask, axis_status, can_frame, command_frame, cycle, free_port, has, json,
     machine_toml, until,
 };
-use support::{seepd, simulate, stderr, stdout};
+use crate::support::{seepd, simulate, stderr, stdout};
 
 const SOON: Duration = Duration::from_secs(10);
 
@@ -68,7 +61,7 @@ fn a_replay_of_the_recording_tells_the_same_to_the_byte() {
     assert!(!files.is_empty());
     assert_eq!(told(&files, &["--topic", "/press-1/signals"]), told(&[log], &[]));
     // What the daemon said itself is in the file too: the same cycles.
-    let python = support::python("mcap");
+    let python = crate::support::python("mcap");
     if let Some(mut python) = python {
         let script = "import sys,json\nfrom mcap.reader import make_reader\nfor f in sys.argv[1:]:\n  for s,c,m in make_reader(open(f,'rb')).iter_messages(topics=['/press-1/leakage']):\n    print(m.data.decode())";
         let output = python.args(["-c", script]).args(&files).output().unwrap();
@@ -885,7 +878,7 @@ fn random(state: &mut u64) -> u64 {
     mixed ^ (mixed >> 31)
 }
 
-/// Long: `cargo test -p seepd --test live -- --ignored kill`.
+/// Long: `cargo test -p seepd --test gateway live::two_hundred_kills -- --ignored`.
 #[test]
 #[ignore = "two minutes"]
 fn two_hundred_kills_at_random_moments_leave_state_recording_and_spool_whole() {
@@ -937,7 +930,7 @@ fn two_hundred_kills_at_random_moments_leave_state_recording_and_spool_whole() {
     }
 }
 
-/// Long: `SEEPD_BIN=target/dist/seepd cargo test -p seepd --test live -- --ignored --nocapture load`.
+/// Long: `SEEPD_BIN=target/dist/seepd cargo test -p seepd --test gateway live::load -- --ignored --nocapture`.
 #[test]
 #[ignore = "two minutes, and meant for an idle machine"]
 fn load_of_a_thousand_frames_a_second_with_all_sinks() {
@@ -985,7 +978,7 @@ fn load_of_a_thousand_frames_a_second_with_all_sinks() {
     machine.stop();
 }
 
-/// Long: `SEEPD_BIN=target/dist/seepd cargo test -p seepd --test live -- --ignored --nocapture day`.
+/// Long: `SEEPD_BIN=target/dist/seepd cargo test -p seepd --test gateway live::a_day -- --ignored --nocapture`.
 #[test]
 #[ignore = "some minutes"]
 fn a_day_at_speed_keeps_memory_flat() {

@@ -1,8 +1,4 @@
 //! Models that others made, and the published schema of ours.
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,7 +7,7 @@ use std::process::{Command, Output};
 use seepd_model::Model;
 use serde_json::{Value, json};
 
-use support::{python, replay, seepd, simulate, stderr, stdout};
+use crate::support::{python, replay, seepd, simulate, stderr, stdout};
 
 fn path(relative: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(relative)

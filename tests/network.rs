@@ -1,12 +1,4 @@
 //! The live daemon and those who talk to it over a network: brokers that refuse, orders that nobody gave, clients that stall.
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-#![expect(clippy::disallowed_methods, reason = "tests of a live daemon wait")]
-
-#[expect(dead_code, reason = "other tests use the rest")]
-#[path = "support/daemon.rs"]
-mod daemon;
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
 
 use std::fs;
 use std::io::Write;
@@ -17,8 +9,8 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-use daemon::{Daemon, Mosquitto, ask, axis_status, free_port, has, json, machine_toml, until};
-use support::{seepd, simulate, stderr, stdout};
+use crate::daemon::{Daemon, Mosquitto, ask, axis_status, free_port, has, json, machine_toml, until};
+use crate::support::{seepd, simulate, stderr, stdout};
 
 const SOON: Duration = Duration::from_secs(15);
 

@@ -1,8 +1,6 @@
 //! What the shipped model is worth, on machines that it has not seen. The program's own training measures it; the same
 //! training rebuilds the embedded model.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
 use std::sync::LazyLock;
 
 use rayon::prelude::*;
@@ -47,7 +45,7 @@ fn embedded_trees_are_what_training_gives_to_the_bit() {
 }
 
 #[test]
-#[ignore = "three minutes: cargo test -p seepd --test quality -- --ignored"]
+#[ignore = "three minutes: cargo test -p seepd --test program quality:: -- --ignored"]
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 fn embedded_model_is_what_training_gives_to_the_byte() {
     let trained = train(&MachineSpec::default(), &TrainingSettings::default(), &mut |_, _, _| ()).unwrap();
@@ -108,7 +106,7 @@ fn healthy_machine_raises_no_flag_in_2_000_cycles() {
 }
 
 #[test]
-#[ignore = "most of a minute: cargo test -p seepd --test quality -- --ignored"]
+#[ignore = "most of a minute: cargo test -p seepd --test program quality:: -- --ignored"]
 fn healthy_machine_raises_no_flag_in_10_000_cycles() {
     no_flag_in(625);
 }

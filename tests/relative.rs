@@ -1,20 +1,12 @@
 //! A machine without a plant file, watched relative to its own healthy cycles.
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-#![expect(clippy::disallowed_methods, reason = "tests of a live daemon wait")]
-
-#[path = "support/daemon.rs"]
-#[expect(dead_code, reason = "other tests use the rest")]
-mod daemon;
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
-use daemon::Daemon;
+use crate::daemon::Daemon;
+use crate::support::{OTHER_PRESS, replay, seepd, simulate, stderr, stdout, summary};
 use serde_json::Value;
-use support::{OTHER_PRESS, replay, seepd, simulate, stderr, stdout, summary};
 
 /// A folder with the logs of a healthy machine, of the same one later, and of the same one with a leak that began at its 20th cycle.
 struct Shop {

@@ -1,24 +1,15 @@
 //! The repair log as people keep it, and what becomes of what was known before a repair.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-#![expect(clippy::disallowed_methods, reason = "tests of a live daemon wait")]
-
-#[expect(dead_code, reason = "other tests use the rest")]
-#[path = "support/daemon.rs"]
-mod daemon;
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 use std::time::Duration;
 
-use daemon::{
+use crate::daemon::{
     Daemon, Machine, Mosquitto, ask, ask_with, axis_status, cycle, free_port, has, machine_toml, until,
 };
+use crate::support::{seepd, simulate, stderr, stdout, summary};
 use serde_json::{Value, json};
-use support::{seepd, simulate, stderr, stdout, summary};
 
 /// A machine of the series, as in the tests of causes.
 const MACHINE: [&str; 8] =
@@ -114,7 +105,7 @@ fn after_a_new_seal_the_leak_s_sums_and_flag_begin_anew_and_the_data_bear_it_out
     // Without the entry the old seal's CUSUM is still above 0.
     let logs = ["leak", "sound"].map(|name| place.path(&format!("{name}.mcap")));
     let baseline = place.path("baseline.json");
-    let without = support::replay(&logs[0], &[text_of(&logs[1]), "--baseline", text_of(&baseline)]);
+    let without = crate::support::replay(&logs[0], &[text_of(&logs[1]), "--baseline", text_of(&baseline)]);
     assert_eq!(self::after(&without)[0]["finding"], "leak");
     assert!(summary(&without).get("repairs").is_none());
 }

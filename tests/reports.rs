@@ -1,15 +1,11 @@
 //! Reports as pages: what they say, and that they need nothing from outside.
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
-#[expect(dead_code, reason = "other tests use the rest")]
-mod support;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use support::{replay, seepd, simulate, stderr, stdout, summary};
+use crate::support::{replay, seepd, simulate, stderr, stdout, summary};
 
 fn text_of(path: &Path) -> &str {
     path.to_str().unwrap()

@@ -3,8 +3,6 @@
 //! Machines are of the series that training draws from (parameters and load ± 10 %), with other seeds. Oil, load and supply differ between
 //! the baseline and what follows.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
 use rayon::prelude::*;
 use seepd_model::Model;
 use seepd_monitor::baseline::{Baseline, CusumFinding};
@@ -280,7 +278,7 @@ fn median_error(model: &Model, baselines: &[Baseline], truth_m2: f64, setting: S
 
 /// The whole requirement, and the smallest leak that is found: prints the table of docs/ACCURACY.md. Some minutes.
 #[test]
-#[ignore = "some minutes: cargo test --release -p seepd --test trust -- --ignored --nocapture detection"]
+#[ignore = "some minutes: cargo test --release -p seepd --test program trust::detection -- --ignored --nocapture"]
 fn detection_limit_and_false_alarms() {
     let model = model();
     for (with_load, deadband) in [(false, 0.0), (true, 0.0), (false, 0.01)] {
