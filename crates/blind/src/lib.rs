@@ -8,4 +8,4 @@ pub mod press;
 pub mod score;
 
 pub use cause::{Case, Set, Truth, draw};
-pub use press::{Press, Sample};
+pub use press::{Press, PressSample};

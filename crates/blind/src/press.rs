@@ -42,7 +42,7 @@ pub struct Press {
 
 /// What is logged at a tick, without noise.
 #[derive(Debug, Clone, Copy)]
-pub struct Sample {
+pub struct PressSample {
     /// PID valve command.
     pub command: f64,
     /// Position demand, m.
@@ -84,7 +84,7 @@ pub struct Variation {
 
 impl Press {
     /// Runs a warm-up cycle and `cycles` more and hands each logged tick to `sink`; whether all stayed finite.
-    pub fn run(&self, cycles: usize, variation: Variation, mut sink: impl FnMut(Sample)) -> bool {
+    pub fn run(&self, cycles: usize, variation: Variation, mut sink: impl FnMut(PressSample)) -> bool {
         let laws = Laws::new(self);
         let planned_s = self.controller.period_s;
         let ticks = (self.cycle.period_s / planned_s).round() as usize;
@@ -109,7 +109,7 @@ impl Press {
                 let command = controller.tick(self, &laws, aim, position_m);
                 if cycle > 0 {
                     let pressures_pa = [state[P_S], state[P_3], state[P_1], state[P_2]];
-                    sink(Sample { command, demand_m, position_m, pressures_pa, load_n: load(tick) });
+                    sink(PressSample { command, demand_m, position_m, pressures_pa, load_n: load(tick) });
                 }
                 commands.rotate_right(1);
                 commands[0] = command;

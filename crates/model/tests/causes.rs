@@ -1,6 +1,6 @@
 //! Named causes from closed forms: a file of four cells over two phases, in which noise is even and nothing varies ordinarily.
 
-use seepd_model::causes::{Cause, Change, Kind, SizeUnit, Verdict};
+use seepd_model::causes::{Cause, Change, ChangeVerdict, Kind, SizeUnit};
 use seepd_model::schema::{CausesFile, CellFile};
 use seepd_model::{Causes, ModelError};
 
@@ -47,7 +47,7 @@ fn explained(numbers: [f64; NUMBERS]) -> seepd_model::Explanation {
 #[test]
 fn analytic_no_change_is_none() {
     let given = explained([5e-5, -1e-4, 0.0, 1e-4]);
-    assert_eq!(given.verdict, Verdict::Nothing);
+    assert_eq!(given.verdict, ChangeVerdict::Nothing);
     // (0.5² + 1 + 0 + 1)/4.
     assert!((given.distance - 0.5625).abs() < 1e-3, "{}", given.distance);
     assert_eq!(given.other, None);
@@ -57,7 +57,7 @@ fn analytic_no_change_is_none() {
 #[test]
 fn analytic_null_shift_is_named_with_its_size_and_its_response() {
     let given = explained([-0.009, -0.009, 0.0, 0.0]);
-    assert_eq!(given.verdict, Verdict::Named(Cause::ValveNull, None));
+    assert_eq!(given.verdict, ChangeVerdict::Named(Cause::ValveNull, None));
     assert!(given.probability > 0.99, "{}", given.probability);
     let null = given.candidate(Cause::ValveNull).expect("a candidate");
     assert!((null.size - 0.009).abs() < 2e-5, "{}", null.size);
@@ -69,7 +69,7 @@ fn analytic_null_shift_is_named_with_its_size_and_its_response() {
 #[test]
 fn analytic_a_leak_beside_a_null_shift_is_a_pair_and_its_response_the_nulls_alone() {
     let given = explained([-0.01 - 0.0044, -0.01 + 0.0044, 0.0, 0.0]);
-    assert_eq!(given.verdict, Verdict::Named(Cause::PistonSeal, Some(Cause::ValveNull)));
+    assert_eq!(given.verdict, ChangeVerdict::Named(Cause::PistonSeal, Some(Cause::ValveNull)));
     let seal = given.candidate(Cause::PistonSeal).expect("a candidate");
     assert!((seal.size - 2.2e-7).abs() < 2e-9, "{}", seal.size);
     assert!(given.response[..2].iter().all(|mean| (mean + 0.01).abs() < 5e-5), "{:?}", given.response);
@@ -78,7 +78,7 @@ fn analytic_a_leak_beside_a_null_shift_is_a_pair_and_its_response_the_nulls_alon
 #[test]
 fn a_change_that_no_cell_has_is_unknown() {
     let given = explained([0.0, 0.0, 0.0, 0.05]);
-    assert_eq!(given.verdict, Verdict::Unknown);
+    assert_eq!(given.verdict, ChangeVerdict::Unknown);
     assert!(given.distance > 4.0);
 }
 

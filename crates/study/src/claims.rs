@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use crate::Study;
 use crate::cycles::REFERENCE_DP_PA;
-use crate::ensemble::Accuracy;
+use crate::ensemble::EnsembleAccuracy;
 use crate::features::FIVE;
 use crate::holding::{ACCURATE_WITHIN_M, ARTICLE_LPM};
 use crate::limits::{NOISE, SPREAD};
@@ -167,12 +167,17 @@ fn features(study: &Study) -> ClaimOutcome {
     }
 }
 
-fn accuracy<'a>(list: &'a [Accuracy], ensemble: &str, machines: &str, noise: f64) -> Option<&'a Accuracy> {
+fn accuracy<'a>(
+    list: &'a [EnsembleAccuracy],
+    ensemble: &str,
+    machines: &str,
+    noise: f64,
+) -> Option<&'a EnsembleAccuracy> {
     list.iter().find(|line| line.ensemble == ensemble && line.machines == machines && line.noise == noise)
 }
 
 /// Mean absolute errors of the article's ensemble at the smallest and largest noise.
-fn errors(list: &[Accuracy], study: &Study) -> Option<(f64, f64)> {
+fn errors(list: &[EnsembleAccuracy], study: &Study) -> Option<(f64, f64)> {
     let (first, last) = (*study.noise.noise.first()?, *study.noise.noise.last()?);
     let at = |noise| accuracy(list, "article", "press", noise).map(|line| line.mean_absolute_error_m2);
     Some((at(first)?, at(last)?))
@@ -200,7 +205,7 @@ fn noise(study: &Study) -> ClaimOutcome {
 fn ensembles(study: &Study) -> ClaimOutcome {
     let list = &study.ensembles.accuracy;
     let of = |ensemble, machines| accuracy(list, ensemble, machines, study.noise.noise[0]);
-    let percent = |line: Option<&Accuracy>| {
+    let percent = |line: Option<&EnsembleAccuracy>| {
         line.map_or(String::from("–"), |line| {
             line.median_relative_error.map(|error| format!("{:.1}", 100.0 * error)).join(" / ")
         })

@@ -35,7 +35,7 @@ pub(crate) struct Taught {
 
 /// Accuracy on some machines at one noise level.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Accuracy {
+pub struct EnsembleAccuracy {
     /// `article` or `seepd`.
     pub ensemble: &'static str,
     /// `press` (the machine that it learned from) or `series` (others of its kind).
@@ -54,11 +54,11 @@ pub struct Accuracy {
 
 /// The comparison.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Comparison {
+pub struct EnsembleComparison {
     /// Both ensembles on both kinds of machines at each noise level, filtered.
-    pub accuracy: Vec<Accuracy>,
+    pub accuracy: Vec<EnsembleAccuracy>,
     /// The article's ensemble learned and tested without the filter, on its own press.
-    pub article_unfiltered: Vec<Accuracy>,
+    pub article_unfiltered: Vec<EnsembleAccuracy>,
 }
 
 /// Learns the article's way: areas uniform over its range, one press, noise 0.001, the Kalman filter.
@@ -98,7 +98,7 @@ pub(crate) fn compare(
     spec: &MachineSpec,
     taught: &[Taught; 2],
     seed: u64,
-) -> Result<Comparison, StudyError> {
+) -> Result<EnsembleComparison, StudyError> {
     let mut noise = Noise::new(seed, TEST_STREAM);
     let areas: Vec<f64> = (0..TESTED)
         .map(|index| {
@@ -122,7 +122,10 @@ pub(crate) fn compare(
     }
     let unfiltered = lens.read(&same, None, &NOISE_LEVELS, seed)?;
     let without = |cycle: &Cycle, level: usize| taught[1].estimate(&lens.five(&cycle.by_noise[level]));
-    Ok(Comparison { accuracy, article_unfiltered: measure("article", "press", &unfiltered, &without) })
+    Ok(EnsembleComparison {
+        accuracy,
+        article_unfiltered: measure("article", "press", &unfiltered, &without),
+    })
 }
 
 fn measure(
@@ -130,7 +133,7 @@ fn measure(
     machines: &'static str,
     cycles: &[Cycle],
     estimate: &dyn Fn(&Cycle, usize) -> f64,
-) -> Vec<Accuracy> {
+) -> Vec<EnsembleAccuracy> {
     let at = |(level, noise): (usize, &f64)| {
         let pairs: Vec<(f64, f64)> =
             cycles.iter().map(|cycle| (cycle.leak_area_m2, estimate(cycle, level))).collect();
@@ -138,7 +141,7 @@ fn measure(
             let inside = pairs.iter().filter(|(truth, _)| (low..high).contains(truth));
             median(inside.map(|(truth, estimate)| (estimate - truth).abs() / truth).collect())
         };
-        Accuracy {
+        EnsembleAccuracy {
             ensemble,
             machines,
             noise: *noise,

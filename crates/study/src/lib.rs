@@ -31,7 +31,7 @@ pub struct Study {
     /// Figures 8 and 9.
     pub noise: features::NoiseStudy,
     /// The article's ensemble against the program's.
-    pub ensembles: ensemble::Comparison,
+    pub ensembles: ensemble::EnsembleComparison,
     /// The smallest leak that one cycle shows.
     pub limits: Vec<limits::Limit>,
     /// The largest leak that the controller holds.

@@ -4,7 +4,7 @@ use seepd_sim::noise::Noise;
 
 use super::duty::{Beginning, Timeline};
 use super::machine::{Leak, Machine};
-use super::run::{Day, Sample, run};
+use super::run::{Day, LogSample, run};
 
 /// Cycles that it is watched for.
 const CYCLES: usize = 3;
@@ -62,7 +62,7 @@ pub(super) fn conduct(machine: &Machine, leak: Leak) -> Conduct {
     let machine = Machine { duty: steady, ..machine.clone() };
     let timeline = Timeline::plan(&machine.duty, CYCLES, Beginning::AtWork, &mut Noise::new(0, 0));
     let temperature_c = (machine.oil.temperature_c, machine.oil.temperature_c);
-    let mut samples: Vec<Sample> = Vec::new();
+    let mut samples: Vec<LogSample> = Vec::new();
     let finite = run(&machine, &Day { leak, temperature_c, force: 1.0 }, &timeline, 1, |sample| {
         samples.push(sample);
     });

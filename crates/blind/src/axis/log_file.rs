@@ -6,7 +6,7 @@ use seepd_sim::noise::Noise;
 use serde::{Deserialize, Serialize};
 
 use super::draw::Choice;
-use super::run::Sample;
+use super::run::LogSample;
 
 /// Periods from a row to the next that loggers offer, s.
 const ROWS_S: [f64; 8] = [0.25e-3, 0.5e-3, 1e-3, 2e-3, 4e-3, 5e-3, 10e-3, 20e-3];
@@ -138,7 +138,7 @@ impl LogFormat {
     }
 
     /// A sample as it is written: a line of a table, or a message.
-    pub(super) fn text(&self, sample: Sample, noise: &mut Noise, text: &mut String) {
+    pub(super) fn text(&self, sample: LogSample, noise: &mut Noise, text: &mut String) {
         let command = sample.command + noise.normal(self.command_noise);
         let position_m = sample.position_m + noise.normal(self.position_noise_m);
         let values = [sample.time_s, command, sample.demand_m, position_m];
@@ -182,7 +182,7 @@ mod tests {
         let signals = LoggedSignals::Position;
         let format =
             LogFormat { signals, container, style, nth: 1, command_noise: 0.0, position_noise_m: 0.0 };
-        let sample = Sample { time_s: 1.5, command: -0.25, demand_m: 0.125, position_m: 0.1237 };
+        let sample = LogSample { time_s: 1.5, command: -0.25, demand_m: 0.125, position_m: 0.1237 };
         let mut text = String::new();
         format.text(sample, &mut Noise::new(1, 1), &mut text);
         text

@@ -8,7 +8,7 @@ use super::machine::{Leak, Machine};
 
 /// What a machine's log may have at a tick, without noise.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Sample {
+pub(super) struct LogSample {
     /// Time since the log's beginning, s.
     pub(super) time_s: f64,
     /// Valve command, share of full command.
@@ -39,7 +39,7 @@ pub(super) fn run(
     day: &Day,
     timeline: &Timeline,
     nth: usize,
-    sink: impl FnMut(Sample),
+    sink: impl FnMut(LogSample),
 ) -> bool {
     run_with(Integrator::new(TOLERANCE), machine, day, timeline, nth, sink)
 }
@@ -50,7 +50,7 @@ fn run_with(
     day: &Day,
     timeline: &Timeline,
     nth: usize,
-    mut sink: impl FnMut(Sample),
+    mut sink: impl FnMut(LogSample),
 ) -> bool {
     let period_s = machine.controller.period_s;
     let (begin_s, end_s) = timeline.logged_s;
@@ -82,7 +82,7 @@ fn run_with(
         };
         if tick >= first && (tick - first).is_multiple_of(nth) {
             let time_s = (tick - first) as f64 * period_s;
-            sink(Sample { time_s, command, demand_m: order.demand_m, position_m });
+            sink(LogSample { time_s, command, demand_m: order.demand_m, position_m });
         }
         let force_n = order.force_n * day.force;
         integrator.advance(&mut state, period_s, |state| hydraulics.rates(state, command, force_n));
@@ -117,7 +117,7 @@ mod tests {
     const DAY: Day =
         Day { leak: Leak { flow_m3_per_s: 3e-5, exponent: 0.5 }, temperature_c: (50.0, 50.0), force: 1.0 };
 
-    fn samples(tolerance: f64) -> Vec<Sample> {
+    fn samples(tolerance: f64) -> Vec<LogSample> {
         let machine = example();
         let timeline = Timeline::plan(&machine.duty, 1, Beginning::AtWork, &mut Noise::new(1, 1));
         let mut samples = Vec::new();
@@ -129,7 +129,7 @@ mod tests {
     #[test]
     fn property_smaller_steps_give_the_same_machine() {
         let (finest, fine, usual) = (samples(1e-6), samples(1e-3), samples(1.0));
-        let apart = |other: &[Sample]| {
+        let apart = |other: &[LogSample]| {
             assert_eq!(other.len(), finest.len());
             finest.iter().zip(other).fold((0.0, 0.0), |(command, position): (f64, f64), (a, b)| {
                 let position_m = (a.position_m - b.position_m).abs();

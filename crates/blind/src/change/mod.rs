@@ -9,7 +9,7 @@ use seepd_sim::series::{self, Tolerances};
 use seepd_sim::{Controller, DutyCycle, MachineSpec};
 use serde::{Deserialize, Serialize};
 
-use crate::press::{EffectValues, Press, Sample, Variation};
+use crate::press::{EffectValues, Press, PressSample, Variation};
 
 /// Flow of 1 L/min, m³/s.
 const LPM: f64 = 1.0 / 60_000.0;
@@ -198,7 +198,7 @@ fn plant_outside(change: &mut Change, noise: &mut Noise) {
 impl Watched {
     /// Runs the machine: its baseline, then what has changed. `sink` has each sample with the number of its stage, 0 for the baseline. Whether all stayed
     /// finite.
-    pub fn run(&self, mut sink: impl FnMut(usize, Sample)) -> bool {
+    pub fn run(&self, mut sink: impl FnMut(usize, PressSample)) -> bool {
         let mut noise = Noise::new(self.seed, 5);
         let day = |noise: &mut Noise| {
             let oil_c = noise.uniform(OIL_C.0, OIL_C.1);

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use seepd_study::Study;
 use seepd_study::claims::Agreement;
 use seepd_study::cycles::REFERENCE_DP_PA;
-use seepd_study::ensemble::{Accuracy, LEARNERS, OBSERVATIONS};
+use seepd_study::ensemble::{EnsembleAccuracy, LEARNERS, OBSERVATIONS};
 use seepd_study::features::{FIVE, FeatureCurve};
 use seepd_study::holding::{ACCURATE_WITHIN_M, ARTICLE_LPM, Hold};
 
@@ -228,7 +228,7 @@ impl StudyPage<'_> {
 
     /// Error of the article's ensemble by noise, without the filter and with it.
     fn error_by_noise(&self) -> Markup {
-        let of = |list: &[Accuracy]| -> Vec<(f64, f64)> {
+        let of = |list: &[EnsembleAccuracy]| -> Vec<(f64, f64)> {
             let own = list.iter().filter(|line| line.ensemble == "article" && line.machines == "press");
             own.map(|line| (line.noise, line.mean_absolute_error_m2 * MM2_PER_M2)).collect()
         };
@@ -254,11 +254,11 @@ impl StudyPage<'_> {
     }
 
     fn ensemble_table(&self) -> Markup {
-        let name = |line: &Accuracy| match line.ensemble {
+        let name = |line: &EnsembleAccuracy| match line.ensemble {
             "article" => "article's",
             _ => "this program's",
         };
-        let machines = |line: &Accuracy| match line.machines {
+        let machines = |line: &EnsembleAccuracy| match line.machines {
             "press" => "the article's own press",
             _ => "others, ±\u{a0}5\u{a0}%",
         };

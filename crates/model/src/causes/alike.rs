@@ -83,7 +83,7 @@ fn log_sum(logs: impl Iterator<Item = f64> + Clone) -> f64 {
 mod tests {
     use alloc::vec;
 
-    use super::super::{Cause, Change, Kind, SizeUnit, Verdict};
+    use super::super::{Cause, Change, ChangeVerdict, Kind, SizeUnit};
     use super::*;
     use crate::schema::{CausesFile, CellFile};
 
@@ -132,7 +132,7 @@ mod tests {
 
         let alike = causes([1.0, 0.95, 0.05, 0.0]);
         let explanation = told(&alike, &shifted);
-        assert_eq!(explanation.verdict, Verdict::CannotTell);
+        assert_eq!(explanation.verdict, ChangeVerdict::CannotTell);
         assert!(explanation.other.is_none());
         // Priors are 0.25 for the seal and 0.42 for two other causes.
         assert!((explanation.seal - 0.25 / 0.46).abs() < 0.01, "{}", explanation.seal);
@@ -140,12 +140,12 @@ mod tests {
         assert!((size / 0.006 - 1.0).abs() < 0.2, "{size}");
 
         let apart = causes([1.0, 0.0, 0.0, 0.5]);
-        assert_eq!(told(&apart, &shifted).verdict, Verdict::Named(Cause::ValveNull, None));
+        assert_eq!(told(&apart, &shifted).verdict, ChangeVerdict::Named(Cause::ValveNull, None));
 
         // Friction beside a leak is still taken off.
         let beside = [0.006 + 0.006, 0.0057 - 0.006, 0.0003, 0.0];
         let explanation = told(&alike, &beside);
-        assert_eq!(explanation.verdict, Verdict::Named(Cause::PistonSeal, Some(Cause::Friction)));
+        assert_eq!(explanation.verdict, ChangeVerdict::Named(Cause::PistonSeal, Some(Cause::Friction)));
     }
 
     #[test]

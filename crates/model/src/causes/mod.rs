@@ -20,7 +20,7 @@ use crate::error::ModelError;
 use crate::model::agree;
 use crate::schema::{CausesFile, CausesGolden};
 
-pub use verdict::{Candidate, Explanation, Verdict};
+pub use verdict::{Candidate, ChangeVerdict, Explanation};
 
 /// Most numbers that a change has: mean and rise of each phase.
 pub const MAX_NUMBERS: usize = 2 * MAX_PHASES;

@@ -31,7 +31,7 @@ pub struct Candidate {
 
 /// What a change is taken for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
+pub enum ChangeVerdict {
     /// Nothing has changed.
     Nothing,
     /// A cause, and the second of a pair; a leak comes first.
@@ -46,7 +46,7 @@ pub enum Verdict {
 #[derive(Debug, Clone, Copy)]
 pub struct Explanation {
     /// The verdict.
-    pub verdict: Verdict,
+    pub verdict: ChangeVerdict,
     /// Probability that nothing has changed.
     pub none: f64,
     /// Probability that the seal has, alone or beside another cause.
@@ -121,8 +121,8 @@ impl Causes {
     /// Explains a change by none, one or two of the causes.
     ///
     /// ```no_run
-    /// # use seepd_model::{Model, causes::{Change, Verdict}};
-    /// # fn told(model: &Model, baseline: &[f64], now: &[f64]) -> Option<Verdict> {
+    /// # use seepd_model::{Model, causes::{Change, ChangeVerdict}};
+    /// # fn told(model: &Model, baseline: &[f64], now: &[f64]) -> Option<ChangeVerdict> {
     /// let numbers: Vec<f64> = now.iter().zip(baseline).map(|(now, before)| now - before).collect();
     /// let explanation = model.causes()?.explain(&Change { numbers: &numbers, noise: 0.001 });
     /// # Some(explanation.verdict)
@@ -353,12 +353,12 @@ impl<'c> Weighed<'c> {
         (candidates, count)
     }
 
-    fn verdict(&self, tallies: &[Tally; MAX_KINDS], seal: f64) -> (Verdict, f64) {
+    fn verdict(&self, tallies: &[Tally; MAX_KINDS], seal: f64) -> (ChangeVerdict, f64) {
         if self.distance > self.causes.file.known_limit {
-            return (Verdict::Unknown, 1.0 - self.none);
+            return (ChangeVerdict::Unknown, 1.0 - self.none);
         }
         if self.none >= NAMED_FROM {
-            return (Verdict::Nothing, self.none);
+            return (ChangeVerdict::Nothing, self.none);
         }
         let kinds = &self.causes.kinds;
         let of_cause = |cause: Cause| -> f64 {
@@ -377,11 +377,11 @@ impl<'c> Weighed<'c> {
             .max_by(|a, b| a.1.total_cmp(&b.1))
             .filter(|(_, probability)| *probability >= NAMED_FROM);
         match (seal >= NAMED_FROM, other) {
-            (true, other) => (Verdict::Named(Cause::PistonSeal, other.map(|(cause, _)| cause)), seal),
-            (false, Some((cause, probability))) => (Verdict::Named(cause, None), probability),
+            (true, other) => (ChangeVerdict::Named(Cause::PistonSeal, other.map(|(cause, _)| cause)), seal),
+            (false, Some((cause, probability))) => (ChangeVerdict::Named(cause, None), probability),
             (false, None) => {
                 let likeliest = tallies.iter().map(|tally| tally.weight).fold(self.none, f64::max);
-                (Verdict::CannotTell, likeliest)
+                (ChangeVerdict::CannotTell, likeliest)
             }
         }
     }

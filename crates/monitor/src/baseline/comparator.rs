@@ -1,7 +1,7 @@
 //! Compares each cycle with the baseline.
 
 use seepd_features::ValidCycle;
-use seepd_model::causes::{Cause, Verdict};
+use seepd_model::causes::{Cause, ChangeVerdict};
 use seepd_model::{Comparison, Estimate, Model, Relative, RelativeEstimate};
 use serde::Serialize;
 
@@ -160,13 +160,15 @@ impl BaselineComparator {
     ) -> Option<RelativeEstimate> {
         let explanation = &explained.explanation;
         let is_beyond_training = plain.out_of_distribution.score > 1.0;
-        if is_beyond_training && explanation.verdict == Verdict::Named(Cause::PistonSeal, None) {
+        if is_beyond_training && explanation.verdict == ChangeVerdict::Named(Cause::PistonSeal, None) {
             let is_sure = explained.agreeing >= cause::TOLD_AFTER;
             return cause::leak_beyond_training(explanation, *plain).filter(|_| is_sure);
         }
         // Beside a leak the other cause must be certain: it would carry the baseline over what nobody knows.
-        let is_open =
-            matches!(explanation.verdict, Verdict::Unknown | Verdict::Named(Cause::PistonSeal, None));
+        let is_open = matches!(
+            explanation.verdict,
+            ChangeVerdict::Unknown | ChangeVerdict::Named(Cause::PistonSeal, None)
+        );
         let (kind, has_leak) = explanation.other.filter(|_| !is_open)?;
         let hides_a_leak = !has_leak && explanation.seal >= cause::IN_DOUBT && !is_beyond_training;
         if hides_a_leak || !cause::is_taken_off(kind, load_change.is_some(), is_beyond_training) {

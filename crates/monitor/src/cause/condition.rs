@@ -1,6 +1,6 @@
 //! A verdict in words: what has changed, by how much, and what tells causes apart that the command cannot.
 
-use seepd_model::causes::{Candidate, Cause, Explanation, Side, SizeUnit, Verdict};
+use seepd_model::causes::{Candidate, Cause, ChangeVerdict, Explanation, Side, SizeUnit};
 
 use super::course::Condition;
 use crate::baseline::trend::TimeTo;
@@ -73,15 +73,15 @@ pub fn sentence(explanation: &Explanation) -> Option<String> {
         Some(format!("{} ({})", words_of(cause, candidate.kind.side), size_of(candidate)))
     };
     match explanation.verdict {
-        Verdict::Nothing | Verdict::Named(Cause::PistonSeal, None) => None,
-        Verdict::Named(Cause::PistonSeal, Some(also)) => {
+        ChangeVerdict::Nothing | ChangeVerdict::Named(Cause::PistonSeal, None) => None,
+        ChangeVerdict::Named(Cause::PistonSeal, Some(also)) => {
             Some(format!("{}, beside a leak of the piston seal. {}", told(also)?, advice_on(also)))
         }
-        Verdict::Named(cause, _) => {
+        ChangeVerdict::Named(cause, _) => {
             let seal = if explanation.seal < 0.1 { ", seal unchanged" } else { "" };
             Some(format!("{}{seal}. {}", told(cause)?, advice_on(cause)))
         }
-        Verdict::CannotTell => {
+        ChangeVerdict::CannotTell => {
             let [first, second] = [0, 1].map(|rank| explanation.candidates().get(rank));
             let words = |candidate: &Candidate| words_of(candidate.kind.cause, candidate.kind.side);
             let first = words(first?);
@@ -92,7 +92,7 @@ pub fn sentence(explanation: &Explanation) -> Option<String> {
                 None => format!("{first}, perhaps: too little has changed to be sure{tells}."),
             })
         }
-        Verdict::Unknown => Some("something has changed that is none of the known causes.".to_owned()),
+        ChangeVerdict::Unknown => Some("something has changed that is none of the known causes.".to_owned()),
     }
 }
 
@@ -124,7 +124,7 @@ fn span(time_s: f64) -> String {
 
 /// A cause that a repair has brought, in a sentence: as was to be expected, so that there is nothing to do about it.
 pub fn sentence_after(explanation: &Explanation, what: RepairKind) -> Option<String> {
-    let Verdict::Named(first, second) = explanation.verdict else { return None };
+    let ChangeVerdict::Named(first, second) = explanation.verdict else { return None };
     let cause = second.unwrap_or(first);
     let candidate = explanation.candidate(cause)?;
     let seal = match (first, explanation.seal < 0.1) {
@@ -138,7 +138,7 @@ pub fn sentence_after(explanation: &Explanation, what: RepairKind) -> Option<Str
 
 /// What would tell the candidates apart; empty where one is named.
 pub fn distinguish(explanation: &Explanation) -> Vec<&'static str> {
-    if explanation.verdict != Verdict::CannotTell {
+    if explanation.verdict != ChangeVerdict::CannotTell {
         return Vec::new();
     }
     let is_possible = |cause: Cause| {

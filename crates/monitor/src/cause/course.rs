@@ -3,7 +3,7 @@
 //! The sum is Page's, as the leak's is, of the logarithm of the odds that the cycles since the last change give a cause. The odds have what noise, load,
 //! oil and supply do by themselves in them already; what a cycle adds is bounded, so that none decides alone. The seal has its own CUSUM and trend.
 
-use seepd_model::causes::{Candidate, Cause, Explanation, Kind, SizeUnit, Verdict};
+use seepd_model::causes::{Candidate, Cause, ChangeVerdict, Explanation, Kind, SizeUnit};
 use serde::{Deserialize, Serialize};
 
 use super::Explained;
@@ -257,11 +257,11 @@ impl Courses {
         let is_found =
             |cause: Cause| self.courses.iter().any(|course| course.is_found && course.kind.cause == cause);
         match explanation.verdict {
-            Verdict::Nothing | Verdict::Named(Cause::PistonSeal, None) => {
+            ChangeVerdict::Nothing | ChangeVerdict::Named(Cause::PistonSeal, None) => {
                 self.courses.iter().all(|course| !course.is_found)
             }
-            Verdict::Named(first, second) => is_found(second.unwrap_or(first)),
-            Verdict::CannotTell | Verdict::Unknown => self.anything >= THRESHOLD,
+            ChangeVerdict::Named(first, second) => is_found(second.unwrap_or(first)),
+            ChangeVerdict::CannotTell | ChangeVerdict::Unknown => self.anything >= THRESHOLD,
         }
     }
 

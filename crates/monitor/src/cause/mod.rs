@@ -7,7 +7,7 @@ pub mod condition;
 pub mod course;
 mod tracker;
 
-use seepd_model::causes::{Cause, Explanation, Kind, SizeUnit, Verdict};
+use seepd_model::causes::{Cause, ChangeVerdict, Explanation, Kind, SizeUnit};
 use seepd_model::{Estimate, RelativeEstimate};
 
 pub use tracker::{Explained, Tracker};
@@ -22,12 +22,12 @@ const LEFT_OPEN: f64 = 0.05;
 pub(crate) const IN_DOUBT: f64 = 0.2;
 
 /// The name of a verdict's cause in messages.
-pub const fn name_of(verdict: Verdict) -> &'static str {
+pub const fn name_of(verdict: ChangeVerdict) -> &'static str {
     match verdict {
-        Verdict::Nothing => "none",
-        Verdict::Named(cause, _) => cause.name(),
-        Verdict::CannotTell => "cannot_tell",
-        Verdict::Unknown => "unknown",
+        ChangeVerdict::Nothing => "none",
+        ChangeVerdict::Named(cause, _) => cause.name(),
+        ChangeVerdict::CannotTell => "cannot_tell",
+        ChangeVerdict::Unknown => "unknown",
     }
 }
 

@@ -1,7 +1,7 @@
 //! Gathers the cycles since the last change.
 
 use seepd_features::ValidCycle;
-use seepd_model::causes::{Causes, Change, Explanation, MAX_NUMBERS, Verdict};
+use seepd_model::causes::{Causes, Change, ChangeVerdict, Explanation, MAX_NUMBERS};
 
 use crate::baseline::Baseline;
 
@@ -20,14 +20,20 @@ pub struct Tracker {
     mean: [f64; MAX_NUMBERS],
     /// Cycles in a row with the verdict.
     agreeing: u64,
-    verdict: Verdict,
+    verdict: ChangeVerdict,
     /// Cycles in a row in which something has changed.
     changed: u64,
 }
 
 impl Default for Tracker {
     fn default() -> Self {
-        Tracker { cycles: 0, mean: [0.0; MAX_NUMBERS], agreeing: 0, verdict: Verdict::Nothing, changed: 0 }
+        Tracker {
+            cycles: 0,
+            mean: [0.0; MAX_NUMBERS],
+            agreeing: 0,
+            verdict: ChangeVerdict::Nothing,
+            changed: 0,
+        }
     }
 }
 
@@ -74,7 +80,7 @@ impl Tracker {
         let explanation = causes.explain(&Change { numbers: &self.mean, noise: noise * averaged.sqrt() });
         self.agreeing = if explanation.verdict == self.verdict { self.agreeing + 1 } else { 1 };
         self.verdict = explanation.verdict;
-        self.changed = if explanation.verdict == Verdict::Nothing { 0 } else { self.changed + 1 };
+        self.changed = if explanation.verdict == ChangeVerdict::Nothing { 0 } else { self.changed + 1 };
         let mean_of = self.cycles.min(MOST_CYCLES);
         Some(Explained { explanation, agreeing: self.agreeing, changed: self.changed, mean_of })
     }

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use seepd_features::reader::MAX_FEATURES;
 use seepd_features::{CycleReader, CycleState, ReaderError, ValidCycle};
-use seepd_model::causes::{Explanation, Verdict};
+use seepd_model::causes::{ChangeVerdict, Explanation};
 use seepd_model::{Attribution, Estimate, Model, OutOfDistribution};
 
 use crate::baseline::comparator::ComparedCycle;
@@ -118,7 +118,7 @@ pub(super) struct Announced {
     /// Cycles in a row that are unlike baseline or training.
     pub(super) unlike: u32,
     /// What has changed beside the seal.
-    pub(super) condition: Option<Verdict>,
+    pub(super) condition: Option<ChangeVerdict>,
     /// The repair that has brought it.
     pub(super) brought_by: Option<RepairKind>,
 }
@@ -347,8 +347,8 @@ impl CycleEstimator {
             self.aftercare.push(Aftercare::begin(repair, leak_before_m2, self.explained.as_ref()));
         }
         // What it is about is told anew, as the repair's or as one that stands.
-        let is_about = |verdict: Verdict| match verdict {
-            Verdict::Named(first, second) => {
+        let is_about = |verdict: ChangeVerdict| match verdict {
+            ChangeVerdict::Named(first, second) => {
                 repair.what.is_about(first) || second.is_some_and(|second| repair.what.is_about(second))
             }
             _ => false,

@@ -6,7 +6,7 @@ use seepd_features::{Outcome, RejectedCycle, ValidCycle};
 use seepd_model::OutOfDistribution;
 
 use super::MonitorConfig;
-use seepd_model::causes::{Cause, Explanation, Kind, Verdict};
+use seepd_model::causes::{Cause, ChangeVerdict, Explanation, Kind};
 
 use super::monitor::{Absolute, CycleEstimator};
 use super::repairs::of_two_machines;
@@ -233,7 +233,7 @@ impl Progress {
     ) -> Option<CauseLine<'l>> {
         let Explained { explanation, changed, .. } = compared.explained.as_ref()?;
         let also = match explanation.verdict {
-            Verdict::Named(_, also) => also,
+            ChangeVerdict::Named(_, also) => also,
             _ => None,
         };
         Some(CauseLine {
@@ -318,7 +318,7 @@ impl Progress {
             return;
         }
         let news = match (sentence, explained.explanation.verdict) {
-            (Some(sentence), Verdict::Named(..)) => {
+            (Some(sentence), ChangeVerdict::Named(..)) => {
                 let text =
                     format!("{sentence} The baseline is carried over this change: leaks are sized beside it");
                 (NoticeKind::ConditionFound, text)
@@ -448,7 +448,7 @@ impl Progress {
 
 /// The kind beside the seal that is named.
 fn named_beside(explanation: &Explanation) -> Option<Kind> {
-    let Verdict::Named(first, second) = explanation.verdict else { return None };
+    let ChangeVerdict::Named(first, second) = explanation.verdict else { return None };
     explanation.candidate(second.unwrap_or(first)).map(|candidate| candidate.kind)
 }
 

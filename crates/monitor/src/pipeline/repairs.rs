@@ -1,7 +1,7 @@
 //! What the repair log's entries change, and what the cycles after them say.
 
 use seepd_features::{Reason, RejectedCycle, ValidCycle};
-use seepd_model::causes::{Explanation, Verdict};
+use seepd_model::causes::{ChangeVerdict, Explanation};
 
 use super::monitor::{CycleEstimator, Heeded};
 use super::progress::Progress;
@@ -148,7 +148,7 @@ impl Progress {
 impl CycleEstimator {
     /// The repair that has brought what is named, while its verdict is due.
     pub(super) fn repair_behind(&self, explanation: &Explanation) -> Option<RepairKind> {
-        let Verdict::Named(first, second) = explanation.verdict else { return None };
+        let ChangeVerdict::Named(first, second) = explanation.verdict else { return None };
         let kind = explanation.candidate(second.unwrap_or(first))?.kind;
         let care = self.aftercare.iter().rev().find(|care| care.brought(kind))?;
         Some(care.repair().what).filter(|what| *what != RepairKind::SealReplaced)
