@@ -17,6 +17,7 @@ mod encodings;
 mod evaluate;
 mod gap;
 mod gap_fmu;
+mod gap_learned;
 mod gap_simulator;
 mod models;
 mod quality;

@@ -7,12 +7,13 @@ use seepd_sim::real::LANES;
 
 use crate::course::{ChangeKind, change};
 use crate::fit::{Fit, Problem, Target, free_parameters, of_effect, values_of};
+use crate::learn::{LearnedMachine, learn};
 use crate::places::{phase_spans, places};
 use crate::rank::{Ranking, rank};
 use crate::record::{BINS, ENOUGH_CYCLES, Record};
 use crate::report::{
-    CalibratedValue, ChangeWithin, Curves, CycleCounts, Diagnosis, Gaps, Leaks, Place, RankedEffect, Shrink,
-    Verdict,
+    CalibratedValue, ChangeWithin, Curves, CycleCounts, Diagnosis, Gaps, Leaks, LearnedCurve, Place,
+    RankedEffect, Shrink, Verdict,
 };
 use crate::screen::{CalibrationProjector, Candidate, screen};
 use crate::search::{Explanation, SearchResult, search};
@@ -139,6 +140,7 @@ fn diagnose_unchanged<A: SimulatedAxis>(
     tell(3);
     let ranked = RankedExplanations::new(&problem, found);
     let (verdict, reason) = verdict(&problem, record, &nominal, &ranked);
+    let learned = if verdict == Verdict::Unknown { learn(&problem, &ranked.calibrated) } else { Vec::new() };
     let told = DiagnosisInputs {
         record,
         spec,
@@ -146,10 +148,11 @@ fn diagnose_unchanged<A: SimulatedAxis>(
         nominal: &nominal,
         ranked: &ranked,
         held_out: &held_out,
+        learned: &learned,
     };
     let diagnosis = told.diagnosis(settings, verdict, reason, fitted.len());
     tell(STEPS);
-    let machine = told.chosen(verdict).spec.clone();
+    let machine = told.chosen(verdict).clone();
     (diagnosis, machine)
 }
 
@@ -201,6 +204,7 @@ pub fn cannot_tell(reason: String) -> Diagnosis {
         reason: Some(reason),
         seconds: 0.0,
         effects: Vec::new(),
+        learned: Vec::new(),
         unknown_probability: 0.0,
         no_effect_probability: 1.0,
         chosen: Vec::new(),
@@ -380,16 +384,43 @@ struct DiagnosisInputs<'a, A> {
     nominal: &'a Fit<A>,
     ranked: &'a RankedExplanations<A>,
     held_out: &'a HeldOut<'a>,
+    learned: &'a [LearnedMachine<A>],
 }
 
 impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
     /// The machine as diagnosed.
-    fn chosen(&self, verdict: Verdict) -> &Fit<A> {
+    fn chosen(&self, verdict: Verdict) -> &A {
         match (verdict, self.ranked.explanations.first()) {
-            (Verdict::Effect, Some((best, _))) => &best.fit,
-            (Verdict::NoGap, _) => self.nominal,
-            _ => &self.ranked.calibrated,
+            (Verdict::Effect, Some((best, _))) => &best.fit.spec,
+            (Verdict::NoGap, _) => &self.nominal.spec,
+            (Verdict::Unknown, _) => self.adopted().map_or(&self.ranked.calibrated.spec, |one| &one.spec),
+            _ => &self.ranked.calibrated.spec,
         }
+    }
+
+    /// The most likely law without a name, if it takes something of the gap on the held-out cycles as well.
+    fn adopted(&self) -> Option<&LearnedMachine<A>> {
+        let best = self.learned.first()?;
+        let gaps = self.held_out.gaps(&[self.ranked.calibrated.spec.clone(), best.spec.clone()]);
+        let left = gaps.iter().map(|gaps| self.held_out.beyond_expected(gaps)).collect::<Vec<_>>();
+        (left[1] < BORNE_OUT * left[0]).then_some(best)
+    }
+
+    fn learned_curves(&self, nominal: &[f64], adopted: bool) -> Vec<LearnedCurve> {
+        let machines: Vec<A> = self.learned.iter().map(|one| one.spec.clone()).collect();
+        if machines.is_empty() {
+            return Vec::new();
+        }
+        let gaps = self.held_out.gaps(&machines);
+        self.learned
+            .iter()
+            .zip(gaps)
+            .enumerate()
+            .map(|(index, (one, gaps))| {
+                let shrink = self.held_out.shrink(nominal, &gaps, true);
+                one.told(shrink, adopted && index == 0)
+            })
+            .collect()
     }
 
     fn diagnosis(
@@ -401,9 +432,9 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
     ) -> Diagnosis {
         let (record, ranked) = (self.record, self.ranked);
         let (calibrated, chosen) = (&ranked.calibrated, self.chosen(verdict));
-        let of_chosen = self.held_out.sensors(&chosen.spec);
+        let of_chosen = self.held_out.sensors(chosen);
         let effects = ranked.effects();
-        let mut machines = vec![self.nominal.spec.clone(), calibrated.spec.clone(), chosen.spec.clone()];
+        let mut machines = vec![self.nominal.spec.clone(), calibrated.spec.clone(), chosen.clone()];
         let best: Vec<&Explanation<A>> =
             effects.iter().filter_map(|(effect, _)| ranked.best_with(effect.key)).collect();
         machines.extend(best.iter().map(|explanation| explanation.fit.spec.clone()));
@@ -461,10 +492,11 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             leak: Leaks {
                 nominal_m2: leak(&self.nominal.spec),
                 calibrated_m2: leak(&calibrated.spec),
-                chosen_m2: leak(&chosen.spec),
+                chosen_m2: leak(chosen),
             },
             distinguish: distinguish(self.spec, record, &findings, &ranked.candidates, verdict),
             effects: findings,
+            learned: self.learned_curves(&gaps[0], !std::ptr::eq(chosen, &raw const calibrated.spec)),
             sensors: self.sensors(&of_chosen),
             change: None,
             notes: self.notes(&of_chosen),

@@ -234,6 +234,11 @@ impl<'r> Problem<'r> {
         rows.into_iter().map(DVector::from_vec).collect()
     }
 
+    /// The drives along which machines are compared.
+    pub(crate) fn drives(&self) -> &[Vec<DriveSample>] {
+        &self.drives
+    }
+
     /// The same for sensors that show what is there.
     pub(crate) fn without_allowances(mut self) -> Self {
         self.allowances.fill(None);
@@ -519,6 +524,12 @@ impl<A: SimulatedAxis> Fit<A> {
         self.age += 1;
     }
 
+    /// The nearest coordinates within the bounds.
+    pub(crate) fn within_bounds(&self, at: &DVector<f64>) -> DVector<f64> {
+        let each = self.free.iter().zip(at.iter()).map(|(free, at)| at.clamp(free.low, free.high));
+        DVector::from_iterator(at.len(), each)
+    }
+
     /// Where a damped step leads.
     fn step(&self, weight: f64, damping: f64) -> Option<DVector<f64>> {
         let mut gradient = self.jacobian.tr_mul(&self.residual) * weight;
@@ -594,7 +605,7 @@ fn coordinates<A: SimulatedAxis>(spec: &A, free: &[Free]) -> DVector<f64> {
 }
 
 /// A machine at these coordinates.
-fn placed<A: SimulatedAxis>(spec: &A, free: &[Free], at: &DVector<f64>) -> A {
+pub(crate) fn placed<A: SimulatedAxis>(spec: &A, free: &[Free], at: &DVector<f64>) -> A {
     let mut spec = spec.clone();
     free.iter().zip(at.iter()).for_each(|(parameter, at)| parameter.write(*at, &mut spec));
     spec

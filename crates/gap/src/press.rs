@@ -6,6 +6,7 @@ use seepd_sim::SimulatedSignals;
 use seepd_sim::batch::follow;
 use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::{self, EffectInfo, Parameter};
+use seepd_sim::learned::{self, LearnedLaw, Site};
 use seepd_sim::real::{LANES, Lanes};
 use seepd_sim::{DutyCycle, MachineSpec, PlantParameters, Size};
 
@@ -54,6 +55,24 @@ fn symbol_of(key: &'static str) -> &'static str {
 impl SimulatedAxis for MachineSpec {
     fn catalogue(&self) -> Vec<&'static EffectInfo> {
         effects::ALL.iter().map(|effect| effect.info()).collect()
+    }
+
+    fn learnable(&self) -> &'static [&'static LearnedLaw] {
+        &learned::ALL
+    }
+
+    /// Some percent of what the machine's own forces and flows are.
+    fn learned_unit(&self, site: Site) -> f64 {
+        let p = &self.plant;
+        let valve_flow = p.valve_m3_per_s_sqrt_pa * (0.5 * p.relief_pressure_pa).sqrt();
+        match site {
+            Site::Force | Site::Friction => 0.02 * p.cap_area_m2 * p.relief_pressure_pa,
+            Site::Spool => 0.01,
+            Site::RodPort => 0.1,
+            Site::Seal | Site::CapFlow | Site::RodFlow => 0.005 * valve_flow,
+            Site::Supply => 0.03 * p.pump_flow_m3_per_s,
+            Site::Sensor | Site::Controller => 0.002 * p.stroke_m,
+        }
     }
 
     fn signals(&self) -> Vec<Signal> {
@@ -226,8 +245,14 @@ fn least_steps(machine: &MachineSpec) -> usize {
 }
 
 /// Effects that are stiff in themselves: friction at a small mass, a structure's high mode.
-const STIFF: [&str; 4] =
-    ["coulomb_friction", "stribeck_friction", "pressure_friction", "structure_compliance"];
+const STIFF: [&str; 6] = [
+    "coulomb_friction",
+    "stribeck_friction",
+    "pressure_friction",
+    "structure_compliance",
+    "learned_friction_over_position",
+    "learned_friction_over_pressure",
+];
 
 fn of(record: &SimulatedSignals<Lanes>, signal: Signal) -> Lanes {
     match signal {

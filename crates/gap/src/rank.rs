@@ -18,7 +18,7 @@ const PRIOR_NONE: f64 = 0.45;
 /// Prior probability that there is another effect beside one.
 const PRIOR_ANOTHER: f64 = 0.3;
 /// Share of the score that is believed: the scores' own errors are of the order of the scores.
-const TEMPER: f64 = 0.25;
+pub(crate) const TEMPER: f64 = 0.25;
 /// Evidence of a gap beyond noise at which "no effect" is as likely as not, whatever the scores say: a signal or two off by somewhat more
 /// than their expected error.
 const EVIDENT: f64 = 1.2;
@@ -38,8 +38,13 @@ pub(crate) struct Ranking {
     pub(crate) explanations: Vec<f64>,
 }
 
+/// How likely it is that a machine which leaves that share of what calibration leaves only imitates the cause.
+pub(crate) fn unexplained(left: f64) -> f64 {
+    1.0 / (1.0 + ((HALF_EXPLAINED.0 - left) / HALF_EXPLAINED.1).exp())
+}
+
 /// Minus the log-likelihood of mean squares by signal, over half the independent values.
-fn evidence(by_signal: &[f64]) -> f64 {
+pub(crate) fn evidence(by_signal: &[f64]) -> f64 {
     by_signal.iter().map(|square| square.ln_1p()).sum()
 }
 
@@ -80,7 +85,7 @@ pub(crate) fn rank<A: SimulatedAxis>(
         let of_size = if of_evidence > 0.0 { size(&best.fit) / size(calibrated) } else { 0.0 };
         0.5 * (of_evidence + of_size) + SHARE_OF_ANOTHER * (best.effects.len() - 1) as f64
     });
-    let unexplained = 1.0 / (1.0 + ((HALF_EXPLAINED.0 - left) / HALF_EXPLAINED.1).exp());
+    let unexplained = unexplained(left);
     let with_effects = (sum - weights[0]).max(f64::MIN_POSITIVE);
     let named = (1.0 - none) * (1.0 - unexplained);
     let unknown = if explanations.is_empty() { 1.0 - none } else { (1.0 - none) * unexplained };

@@ -36,6 +36,8 @@ pub struct Diagnosis {
     pub unknown_probability: f64,
     /// Probability that there is no effect.
     pub no_effect_probability: f64,
+    /// Where no effect explains the log: the laws that were learned in its place, most likely first.
+    pub learned: Vec<LearnedCurve>,
     /// Effects that the machine is given.
     pub chosen: Vec<&'static str>,
     /// How far the gap shrinks on held-out cycles.
@@ -155,6 +157,37 @@ pub struct RankedEffect {
     pub shrink: f64,
     /// Effects whose signature is the same in this log.
     pub equivalent: Vec<&'static str>,
+}
+
+/// A law without a name: a curve at a place of the machine.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LearnedCurve {
+    /// Key in plant files.
+    pub effect: &'static str,
+    /// Where it acts, in words.
+    pub place: &'static str,
+    /// What it depends on, in words.
+    pub argument: &'static str,
+    /// Units of the argument and of the values.
+    pub units: [&'static str; 2],
+    /// How it acts, with its equation.
+    pub law: &'static str,
+    /// Probability that the cause is there, along that.
+    pub probability: f64,
+    /// Whether the machine was given it: the held-out cycles bear it out.
+    pub adopted: bool,
+    /// Share of the removable gap that it removes, with calibration, on held-out cycles.
+    pub shrink: f64,
+    /// What the curve resembles.
+    pub resembles: String,
+    /// The argument at the curve's knots.
+    pub at: Vec<f64>,
+    /// The curve.
+    pub values: Vec<f64>,
+    /// Its 95 % band.
+    pub band95: Vec<[f64; 2]>,
+    /// Whether the record says anything of it there.
+    pub visited: Vec<bool>,
 }
 
 /// How far the gap shrinks.

@@ -7,6 +7,7 @@ use seepd_signals::Signal;
 use seepd_sim::DutyCycle;
 use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::{EffectInfo, Parameter};
+use seepd_sim::learned::{LearnedLaw, Site};
 
 use crate::record::RecordedCycle;
 use crate::simulate::BinnedSignals;
@@ -49,6 +50,14 @@ pub trait SimulatedAxis: Clone + Send + Sync {
     const IS_DEAR: bool = false;
     /// Effects that can be added to it.
     fn catalogue(&self) -> Vec<&'static EffectInfo>;
+    /// Laws without a name that can be learned where none of these explains a log.
+    fn learnable(&self) -> &'static [&'static LearnedLaw] {
+        &[]
+    }
+    /// Size of a noticeable law at a place, in the place's unit.
+    fn learned_unit(&self, _site: Site) -> f64 {
+        1.0
+    }
     /// Signals that are compared where a log has them; command and position first.
     fn signals(&self) -> Vec<Signal>;
     /// Parameters that calibration may change.

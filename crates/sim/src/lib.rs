@@ -6,6 +6,7 @@ pub mod cycle;
 pub mod effects;
 pub mod electric;
 mod elementary;
+pub mod learned;
 pub mod machine;
 pub mod noise;
 pub mod oil;

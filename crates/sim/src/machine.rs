@@ -76,6 +76,8 @@ pub struct Machine<T: Real> {
     in_balances: bool,
     /// Whether a law has states of its own.
     has_states: bool,
+    /// Whether a law changes the control error.
+    corrects_errors: bool,
     steps: usize,
     period: T,
     dt: T,
@@ -106,25 +108,34 @@ impl<T: Real> Machine<T> {
         let controllers: Vec<_> = specs.iter().map(|spec| &spec.controller).collect();
         let steps = specs[0].controller.steps_per_period;
         let period = T::from_lanes(|lane| of(lane).controller.period_s);
-        let laws: Vec<Box<dyn Law<T>>> = effects::ALL
-            .iter()
+        let laws: Vec<Box<dyn Law<T>>> = effects::every()
+            .filter(|effect| specs.iter().any(|spec| spec.effects.contains_key(effect.key())))
             .filter_map(|effect| {
+                let by_lane: Vec<Vec<f64>> =
+                    (0..T::WIDTH).map(|lane| of(lane).effect_values(effect)).collect();
                 let values: Vec<T> = (0..effect.parameters().len())
-                    .map(|parameter| T::from_lanes(|lane| of(lane).effect_values(*effect)[parameter]))
+                    .map(|parameter| T::from_lanes(|lane| by_lane[lane][parameter]))
                     .collect();
-                T::law(*effect, &values)
+                T::law(effect, &values)
             })
             .collect();
         let (mut plant, mut pid) = (Plant::new(&plants), Pid::new(&controllers));
         let mut dt = period / T::splat(steps as f64);
+        let mut corrects_errors = false;
         for law in &laws {
-            law.adjust(&mut Constants { plant: &mut plant, pid: &mut pid, dt: &mut dt });
+            law.adjust(&mut Constants {
+                plant: &mut plant,
+                pid: &mut pid,
+                dt: &mut dt,
+                corrects_errors: &mut corrects_errors,
+            });
         }
         Machine {
             plant,
             pid,
             in_balances: laws.iter().any(|law| law.is_in_balances()),
             has_states: laws.iter().any(|law| law.has_states()),
+            corrects_errors,
             laws,
             steps,
             period,
@@ -164,7 +175,8 @@ impl<T: Real> Machine<T> {
         for (law, memory) in self.laws.iter().zip(&mut state.memory) {
             position = law.sense(memory, position, &sensing);
         }
-        let command = self.pid.tick(&mut state.pid, input.demand, position);
+        let asked = if self.corrects_errors { self.corrected(input.demand, position) } else { input.demand };
+        let command = self.pid.tick(&mut state.pid, asked, position);
         let signals = SimulatedSignals {
             command,
             demand: input.demand,
@@ -180,6 +192,11 @@ impl<T: Real> Machine<T> {
         self.run(state, command, input);
         state.tick += 1;
         signals
+    }
+
+    /// The demand at which a controller makes what laws have it make of the control error.
+    fn corrected(&self, demand: T, position: T) -> T {
+        position + self.laws.iter().fold(demand - position, |error, law| law.correct(error))
     }
 
     /// The plant from one tick to the next under a held command.

@@ -161,7 +161,12 @@ impl PortLoop {
         let mut pid = Pid::new(&[controller.unwrap_or(&default)]);
         let mut dt_s = period_s;
         for law in &laws {
-            law.adjust(&mut Constants { plant: &mut nominal, pid: &mut pid, dt: &mut dt_s });
+            law.adjust(&mut Constants {
+                plant: &mut nominal,
+                pid: &mut pid,
+                dt: &mut dt_s,
+                corrects_errors: &mut false,
+            });
         }
         PortLoop { pid: controller.map(|_| pid), laws, nominal, period_s, dt_s }
     }

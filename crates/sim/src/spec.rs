@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::controller::{Controller, Pid};
 use crate::cycle::DutyCycle;
 use crate::effects::{self, Constants, Effect};
+use crate::learned;
 use crate::plant::{Plant, PlantParameters, RK4_STABILITY_LIMIT};
 use crate::real::Real;
 use crate::size::Size;
@@ -169,9 +170,15 @@ impl MachineSpec {
         let mut plant = Plant::<f64>::new(&[&self.plant]);
         let mut pid = Pid::new(&[&self.controller]);
         let mut dt = self.controller.period_s;
-        for effect in effects::ALL {
-            if let Some(law) = f64::law(*effect, &self.effect_values(*effect)) {
-                law.adjust(&mut Constants { plant: &mut plant, pid: &mut pid, dt: &mut dt });
+        let mut corrects_errors = false;
+        for effect in effects::every().filter(|effect| self.effects.contains_key(effect.key())) {
+            if let Some(law) = f64::law(effect, &self.effect_values(effect)) {
+                law.adjust(&mut Constants {
+                    plant: &mut plant,
+                    pid: &mut pid,
+                    dt: &mut dt,
+                    corrects_errors: &mut corrects_errors,
+                });
             }
         }
         plant.fastest_eigenvalue_per_s()
@@ -314,10 +321,13 @@ impl MachineSpec {
 
     fn check_effects(&self) -> Result<(), SpecError> {
         for (key, values) in &self.effects {
-            let Some(effect) = effects::find(key) else {
-                let known: Vec<&str> = effects::ALL.iter().map(|effect| effect.key()).collect();
+            let Some(effect) = effects::every().find(|effect| effect.key() == key) else {
+                let known: Vec<&str> = effects::every().map(|effect| effect.key()).collect();
                 return Err(unknown_name("effects".into(), key, &known));
             };
+            if learned::find(key).is_some() {
+                check_ends(key, values)?;
+            }
             for (name, value) in values {
                 let parameters = effect.parameters();
                 let Some(parameter) = parameters.iter().find(|parameter| parameter.name == name) else {
@@ -376,6 +386,16 @@ impl SpecError {
         }
         self
     }
+}
+
+/// Checks that a learned curve's argument runs upwards.
+fn check_ends(key: &str, values: &BTreeMap<String, f64>) -> Result<(), SpecError> {
+    let end = |name: &str| values.get(name).copied().unwrap_or(0.0);
+    if end("from") < end("to") {
+        return Ok(());
+    }
+    let expected = format!("it must be above `from`, which is {}", readable(end("from")));
+    Err(value_error(format!("effects.{key}.to"), end("to"), expected))
 }
 
 /// Checks that a move's course leads from its start to its end.

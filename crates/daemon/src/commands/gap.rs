@@ -412,6 +412,7 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
     }
     text += &format!("  {:>6}  none of these\n", percent(diagnosis.unknown_probability));
     text += &format!("  {:>6}  no effect, only other parameters\n", percent(diagnosis.no_effect_probability));
+    text += &learned_laws(diagnosis);
     text += "\ncalibrated parameters, divided by those of the plant file:\n";
     for (symbol, value) in &diagnosis.calibrated {
         let ratio = value.fitted / value.nominal;
@@ -433,6 +434,26 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
         text += &format!("{line}\n");
     }
     text += &format!("took {:.1} s\n", diagnosis.seconds);
+    text
+}
+
+/// What was learned in the place of an effect.
+fn learned_laws(diagnosis: &Diagnosis) -> String {
+    let mut text = String::new();
+    for law in diagnosis.learned.iter().filter(|law| law.adopted || law.probability >= 0.01) {
+        if text.is_empty() {
+            text += "\na law without a name, learned from the log:\n";
+        }
+        text += &format!(
+            "  {:>6.1} %  {} over {}: {}\n            with it {:.1} % of the removable gap is gone{}\n",
+            100.0 * law.probability,
+            law.place,
+            law.argument,
+            law.resembles,
+            100.0 * law.shrink,
+            if law.adopted { "; the machine as chosen has it" } else { "" }
+        );
+    }
     text
 }
 

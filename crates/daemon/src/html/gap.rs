@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use maud::{Markup, html};
 use seepd_gap::Diagnosis;
-use seepd_gap::report::RankedEffect;
+use seepd_gap::report::{LearnedCurve, RankedEffect};
 use seepd_monitor::event::LPM_PER_M3_PER_S;
 use seepd_monitor::pipeline::REFERENCE_DP_PA;
 use seepd_signals::Signal;
@@ -48,6 +48,10 @@ impl GapPage<'_> {
                 (self.waterfall())
                 h2 { "Why" }
                 (self.ranking())
+                @if !found.learned.is_empty() {
+                    h2 { "A law without a name" }
+                    (learned_laws(&found.learned))
+                }
                 h2 { "Where" }
                 p.soft { "Shares of the imbalance that is left after the calibration, by equation and phase of the duty cycle." }
                 (self.places())
@@ -223,6 +227,65 @@ impl GapPage<'_> {
                 td { (name) } td.number { (quantity::mm2(area)) } td.number { (format!("{:.3}", lpm(area))) }
             } } }
         } }
+    }
+}
+
+/// Laws that were learned where no effect explains the log, each with its curve and band.
+fn learned_laws(laws: &[LearnedCurve]) -> Markup {
+    let told = laws.iter().filter(|law| law.adopted || law.probability >= 0.01);
+    html! {
+        p.soft { "No effect of the catalogue explains what is left, so that a function was learned at each place where it may act, beside the calibrated parameters. \
+            The band holds the curve with 95 % probability if it is there; where the log did not go, it is wide." }
+        @for law in told {
+            h3 { (law.place) " over " (law.argument) ": " (percent(law.probability)) }
+            p { (law.resembles) ". With it " (percent(law.shrink)) " of the removable gap is gone on held-out cycles"
+                @if law.adopted { "; the machine as chosen has it, and " code { "--emit-plant" } " writes it as " code { (law.effect) } }
+                ". " span.soft { (law.law) } }
+            (learned_curve(law))
+        }
+    }
+}
+
+fn learned_curve(law: &LearnedCurve) -> Markup {
+    let (along, x) = shown_unit(law.units[0]);
+    let (across, y) = shown_unit(law.units[1]);
+    let of = |value: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> {
+        (0..law.at.len()).map(|knot| (law.at[knot] * x, value(knot) * y)).collect()
+    };
+    let largest = law.values.iter().map(|value| value.abs()).fold(0.0, f64::max);
+    // A band that goes on to the sky where the log has not been leaves no room for the curve.
+    let held = |value: f64| value.clamp(-2.5 * largest, 2.5 * largest);
+    let band: Vec<(f64, f64, f64)> = (0..law.at.len())
+        .map(|knot| (law.at[knot] * x, held(law.band95[knot][0]) * y, held(law.band95[knot][1]) * y))
+        .collect();
+    let all = band.iter().flat_map(|(_, low, high)| [*low, *high]).collect();
+    let ends = (law.at.first().copied().unwrap_or(0.0) * x, law.at.last().copied().unwrap_or(1.0) * x);
+    let chart = Chart {
+        layers: vec![
+            Layer::Limit { at: 0.0, name: String::new(), colour: "var(--line)" },
+            Layer::Band { class: "fill-band", points: band },
+            Layer::Line { class: "stroke-a", points: of(&|knot| law.values[knot]) },
+        ],
+        key: vec![("learned".into(), "var(--a)", false), ("95 % band".into(), "var(--soft)", false)],
+        ..Chart::new(
+            law.place,
+            Axis::linear(&format!("{}, {along}", law.argument), ends.0, ends.1),
+            spanning(&format!("{}, {across}", law.place), all),
+        )
+    };
+    chart.render()
+}
+
+/// The unit in which people read a quantity, and its size of the SI unit.
+fn shown_unit(unit: &str) -> (&'static str, f64) {
+    match unit {
+        "Pa" => ("bar", quantity::BAR_PER_PA),
+        "m" => ("mm", 1e3),
+        "m/s" => ("mm/s", 1e3),
+        "N" => ("kN", 1e-3),
+        "m3/s" => ("L/min", LPM_PER_M3_PER_S),
+        "s" => ("s", 1.0),
+        _ => ("share of full", 1.0),
     }
 }
 

@@ -46,6 +46,7 @@ mod valve_wear;
 pub(crate) use valve_deadband::ValveDeadband;
 
 use crate::controller::Pid;
+use crate::learned;
 use crate::plant::{Plant, State};
 use crate::real::{Lanes, Real};
 
@@ -85,6 +86,11 @@ pub const ALL: &[&dyn Effect] = &[
     &controller_gains::ControllerGains,
     &controller_clock::ControllerClock,
 ];
+
+/// Every law that a plant file may have: the catalogue's, in their order, then those that were learned from a log.
+pub fn every() -> impl Iterator<Item = &'static dyn Effect> {
+    ALL.iter().copied().chain(learned::ALL.iter().map(|law| *law as &dyn Effect))
+}
 
 /// The effect of that key, if the catalogue has it.
 pub fn find(key: &str) -> Option<&'static dyn Effect> {
@@ -239,6 +245,15 @@ pub struct Constants<'a, T> {
     pub(crate) pid: &'a mut Pid<T>,
     /// Length of a plant step, s.
     pub dt: &'a mut T,
+    /// Whether a law changes the control error.
+    pub(crate) corrects_errors: &'a mut bool,
+}
+
+impl<T> Constants<'_, T> {
+    /// Has [`Law::correct`] asked: a loop without such laws computes the error as it always did, to the bit.
+    pub fn correct_errors(&mut self) {
+        *self.corrects_errors = true;
+    }
 }
 
 /// Where a law is asked within a controller period.
@@ -338,6 +353,11 @@ pub trait Law<T: Real>: Send + Sync {
     /// Changes constants, once.
     fn adjust(&self, _constants: &mut Constants<'_, T>) {}
 
+    /// What the controller takes for the control error, m; asked where [`Constants::correct_errors`] was called.
+    fn correct(&self, error: T) -> T {
+        error
+    }
+
     /// The measured position at a controller tick, given what the laws before it make of the true one.
     fn sense(&self, _memory: &mut [T], position: T, _sensing: &Sensing<T>) -> T {
         position
@@ -366,7 +386,7 @@ pub trait Law<T: Real>: Send + Sync {
 const TRANSITION_SPEED_M_PER_S: f64 = 5e-3;
 
 /// The direction of a speed, −1 … 1: its sign, smooth around 0.
-fn direction<T: Real>(speed: T) -> T {
+pub(crate) fn direction<T: Real>(speed: T) -> T {
     (speed * T::splat(1.0 / TRANSITION_SPEED_M_PER_S)).tanh()
 }
 
