@@ -18,6 +18,7 @@ mod evaluate;
 mod gap;
 mod gap_fmu;
 mod gap_learned;
+mod gap_next_test;
 mod gap_simulator;
 mod models;
 mod quality;

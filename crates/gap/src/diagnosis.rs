@@ -8,6 +8,7 @@ use seepd_sim::real::LANES;
 use crate::course::{ChangeKind, change};
 use crate::fit::{Fit, Problem, Target, free_parameters, of_effect, values_of};
 use crate::learn::{LearnedMachine, learn};
+use crate::next_test::{Candidate as NextTestCandidate, NextTest, next_test};
 use crate::places::{phase_spans, places};
 use crate::rank::{Ranking, rank};
 use crate::record::{BINS, ENOUGH_CYCLES, Record};
@@ -31,11 +32,13 @@ pub struct DiagnosisSettings {
     pub iterations: usize,
     /// Effects of the catalogue that are left out.
     pub without: Vec<String>,
+    /// Whether to look for what would tell the remaining explanations apart.
+    pub next_test: bool,
 }
 
 impl Default for DiagnosisSettings {
     fn default() -> Self {
-        DiagnosisSettings { fitted: 5, iterations: 10, without: Vec::new() }
+        DiagnosisSettings { fitted: 5, iterations: 10, without: Vec::new(), next_test: false }
     }
 }
 
@@ -205,6 +208,7 @@ pub fn cannot_tell(reason: String) -> Diagnosis {
         seconds: 0.0,
         effects: Vec::new(),
         learned: Vec::new(),
+        next_test: None,
         unknown_probability: 0.0,
         no_effect_probability: 1.0,
         chosen: Vec::new(),
@@ -406,6 +410,38 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         (left[1] < BORNE_OUT * left[0]).then_some(best)
     }
 
+    /// What would tell the remaining explanations apart: machines with effects, calibration alone, and laws without a name.
+    fn next_test(&self) -> Option<NextTest> {
+        let ranked = self.ranked;
+        let mut candidates: Vec<NextTestCandidate<'_, A>> = ranked
+            .explanations
+            .iter()
+            .map(|(explanation, probability)| NextTestCandidate {
+                name: explanation.effects.iter().map(|effect| effect.key).collect::<Vec<_>>().join(" + "),
+                probability: *probability,
+                spec: &explanation.fit.spec,
+                fit: &explanation.fit,
+            })
+            .collect();
+        candidates.push(NextTestCandidate {
+            name: "no effect, only other parameters".into(),
+            probability: ranked.none,
+            spec: &ranked.calibrated.spec,
+            fit: &ranked.calibrated,
+        });
+        candidates.extend(self.learned.iter().map(|learned| NextTestCandidate {
+            name: format!(
+                "a law of the {} over the {}",
+                learned.law.site.name(),
+                learned.law.argument.name()
+            ),
+            probability: ranked.unknown * learned.probability,
+            spec: &learned.spec,
+            fit: &ranked.calibrated,
+        }));
+        next_test(self.record, self.spec, candidates)
+    }
+
     fn learned_curves(&self, nominal: &[f64], adopted: bool) -> Vec<LearnedCurve> {
         let machines: Vec<A> = self.learned.iter().map(|one| one.spec.clone()).collect();
         if machines.is_empty() {
@@ -496,6 +532,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             },
             distinguish: distinguish(self.spec, record, &findings, &ranked.candidates, verdict),
             effects: findings,
+            next_test: if settings.next_test { self.next_test() } else { None },
             learned: self.learned_curves(&gaps[0], !std::ptr::eq(chosen, &raw const calibrated.spec)),
             sensors: self.sensors(&of_chosen),
             change: None,

@@ -10,7 +10,7 @@ use seepd_sim::effects::{EffectInfo, Parameter};
 use seepd_sim::real::LANES;
 
 use crate::calibration::Known;
-use crate::record::{BINS, Record};
+use crate::record::{BINS, Record, mean_drive};
 use crate::screen::spans_decades;
 use crate::simulate::{BinnedSignals, binned_signals};
 use crate::simulated_axis::{CalibratedParameter, Scale, SimulatedAxis};
@@ -131,7 +131,7 @@ impl Free {
         }
     }
 
-    fn write<A: SimulatedAxis>(&self, coordinate: f64, spec: &mut A) {
+    pub(crate) fn write<A: SimulatedAxis>(&self, coordinate: f64, spec: &mut A) {
         let value = self.value(coordinate);
         match &self.target {
             Target::Plant(parameter) => spec.set_parameter(&parameter.key, value),
@@ -144,7 +144,7 @@ impl Free {
 
     /// Step of the derivative, towards the inside of the bounds. An event's times take longer steps while errors are relaxed: its edges
     /// show only where they are.
-    fn step(&self, coordinate: f64, relaxed: f64) -> f64 {
+    pub(crate) fn step(&self, coordinate: f64, relaxed: f64) -> f64 {
         let reach = if self.is_time() { relaxed } else { 1.0 };
         let step = match self.scale {
             Scale::Logarithmic => 2e-3,
@@ -190,7 +190,7 @@ const RELAXED_ITERATIONS: usize = 4;
 impl<'r> Problem<'r> {
     /// A problem of some of the record's cycles.
     pub(crate) fn new(record: &'r Record, cycles: &[usize]) -> Self {
-        let (drives, shown) = if same_drive(record, cycles) {
+        let (mut drives, mut shown) = if same_drive(record, cycles) {
             (vec![mean_drive(record, cycles)], vec![record.mean(cycles)])
         } else {
             let step = cycles.len().div_ceil(DRIVES).max(1);
@@ -201,6 +201,8 @@ impl<'r> Problem<'r> {
         };
         let averaged = if drives.len() == 1 { cycles.len() as f64 } else { 1.0 };
         let bins = (BINS * drives.len()) as f64;
+        // A test counts beside the cycles, by the same expected errors.
+        let of_test = record.test.as_ref().map_or(0.0, |(_, cycles)| 1.0 / *cycles as f64);
         let (weights, noise): (Vec<f64>, Vec<f64>) = record
             .floor
             .iter()
@@ -208,9 +210,14 @@ impl<'r> Problem<'r> {
             .map(|(floor, range)| {
                 let noise = floor * floor / averaged;
                 let expected = noise + MODEL_ERROR * MODEL_ERROR;
-                ((INDEPENDENT / bins / expected).sqrt() / range, noise / expected)
+                let left = (noise + floor * floor * of_test) / expected;
+                ((INDEPENDENT / bins / expected).sqrt() / range, left)
             })
             .unzip();
+        if let Some((test, _)) = &record.test {
+            drives.push(test.drive.clone());
+            shown.push(test.bins.clone());
+        }
         let allowances = allowances(record, &shown, &weights);
         Problem { record, drives, shown, weights, allowances, noise }
     }
@@ -344,20 +351,6 @@ fn same_drive(record: &Record, cycles: &[usize]) -> bool {
         })
     };
     !differs(&|sample| sample.demand_m) && !differs(&|sample| sample.load_n)
-}
-
-fn mean_drive(record: &Record, cycles: &[usize]) -> Vec<DriveSample> {
-    let mut mean = record.cycles[cycles[0]].drive.clone();
-    let n = cycles.len() as f64;
-    for (tick, sample) in mean.iter_mut().enumerate() {
-        let of = |pick: &dyn Fn(&DriveSample) -> f64| {
-            cycles.iter().map(|cycle| pick(&record.cycles[*cycle].drive[tick])).sum::<f64>() / n
-        };
-        sample.demand_m = of(&|sample| sample.demand_m);
-        sample.load_n = of(&|sample| sample.load_n);
-        sample.load_end_n = of(&|sample| sample.load_end_n);
-    }
-    mean
 }
 
 /// A fitted machine.

@@ -13,11 +13,12 @@ use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::Effect;
 use seepd_sim::learned::{Argument, LearnedLaw};
 
-use crate::fit::{Fit, INDEPENDENT, Problem, placed, prior_cost};
+use crate::fit::{Fit, INDEPENDENT, Problem, normal_matrix, placed, prior_cost};
 use crate::rank::{TEMPER, evidence, unexplained};
+use crate::record::{BINS, binned};
 use crate::report::LearnedCurve;
 use crate::resemblance::resemblance;
-use crate::simulate::{BinnedSignals, binned_signals};
+use crate::simulate::{BinnedSignals, binned_signals, bins_of};
 use crate::simulated_axis::SimulatedAxis;
 
 /// How rough a curve may be: standard deviations of its second differences that are tried, in units of its natural scale.
@@ -132,35 +133,35 @@ fn weigh<A>(learned: &mut [LearnedMachine<A>], without: f64) {
 
 /// What the arguments of laws are along the record's drives.
 struct Travelled {
-    drives: Vec<(Vec<Signal>, BinnedSignals, Vec<f64>)>,
-    bin_s: f64,
+    signals: Vec<Signal>,
+    /// What the machine shows along each, the demand, and the length of a bin, s.
+    drives: Vec<(BinnedSignals, Vec<f64>, f64)>,
 }
 
 impl Travelled {
     fn of<A: SimulatedAxis>(problem: &Problem<'_>, machine: &A) -> Self {
         let signals = machine.signals();
-        let bin_s = machine.duty_cycle().period_s / crate::record::BINS as f64;
         let drives = problem
             .drives()
             .iter()
             .map(|drive| {
                 let shown = binned_signals(std::slice::from_ref(machine), drive, &signals).swap_remove(0);
                 let demand: Vec<f64> = drive.iter().map(|sample: &DriveSample| sample.demand_m).collect();
-                (signals.clone(), shown, crate::record::binned(&demand))
+                (shown, binned(&demand), drive.len() as f64 * machine.tick_s() / BINS as f64)
             })
             .collect();
-        Travelled { drives, bin_s }
+        Travelled { signals, drives }
     }
 
     /// An argument's values, bin by bin; empty where a machine does not show them.
     fn along(&self, argument: Argument) -> Vec<f64> {
         let mut all = Vec::new();
-        for (signals, shown, demand) in &self.drives {
-            let of = |signal: Signal| crate::simulate::bins_of(signals, signal, shown);
+        for (shown, demand, bin_s) in &self.drives {
+            let of = |signal: Signal| bins_of(&self.signals, signal, shown);
             let position = of(Signal::Position);
             let values: Option<Vec<f64>> = match argument {
                 Argument::Position => position.cloned(),
-                Argument::Speed => position.map(|x| self.slope(x)),
+                Argument::Speed => position.map(|x| slope(x, *bin_s)),
                 Argument::Command => of(Signal::Command).cloned(),
                 Argument::CapPressure => of(Signal::PCap).cloned(),
                 Argument::RodPressure => of(Signal::PRod).cloned(),
@@ -171,18 +172,11 @@ impl Travelled {
                 Argument::ControlError => {
                     position.map(|x| demand.iter().zip(x).map(|(demand, x)| demand - x).collect())
                 }
-                Argument::Time => {
-                    Some((0..demand.len()).map(|bin| (bin as f64 + 0.5) * self.bin_s).collect())
-                }
+                Argument::Time => Some((0..demand.len()).map(|bin| (bin as f64 + 0.5) * bin_s).collect()),
             };
             all.extend(values.unwrap_or_default());
         }
         all
-    }
-
-    fn slope(&self, values: &[f64]) -> Vec<f64> {
-        let n = values.len();
-        (0..n).map(|bin| (values[(bin + 1) % n] - values[(bin + n - 1) % n]) / (2.0 * self.bin_s)).collect()
     }
 
     /// Where a curve begins and ends, and which of its knots the record says something of; `None` for an argument that hardly changes.
@@ -204,6 +198,12 @@ impl Travelled {
         let visited = within.iter().map(|bins| *bins >= VISITED_BINS * self.drives.len() as f64).collect();
         Some(((low, high), visited))
     }
+}
+
+/// Rates of change from bin to bin of a cycle.
+fn slope(values: &[f64], bin_s: f64) -> Vec<f64> {
+    let n = values.len();
+    (0..n).map(|bin| (values[(bin + 1) % n] - values[(bin + n - 1) % n]) / (2.0 * bin_s)).collect()
 }
 
 /// A curve on its way: the plant beside it, what it shows, and how both respond.
@@ -289,7 +289,7 @@ impl<A: SimulatedAxis> Curve<A> {
     /// The step under the roughness that makes the record most likely.
     fn likeliest_step(&self) -> Step {
         let (plant, at) = (&self.plant, &self.at);
-        let own = crate::fit::normal_matrix(&plant.free, &plant.jacobian, 1.0);
+        let own = normal_matrix(&plant.free, &plant.jacobian, 1.0);
         let mut own_gradient = plant.jacobian.tr_mul(&plant.residual);
         for (index, free) in plant.free.iter().enumerate() {
             if let Some((centre, sigma)) = free.prior {

@@ -6,6 +6,7 @@ pub mod diagnosis;
 mod electric;
 mod fit;
 mod learn;
+pub mod next_test;
 mod places;
 pub mod posterior;
 mod press;

@@ -190,6 +190,8 @@ pub struct Record {
     pub floor: Vec<f64>,
     /// What to know of the log, one line each.
     pub notes: Vec<String>,
+    /// A test beside the duty cycle: its mean cycle, and how many that is of.
+    pub(crate) test: Option<(RecordedCycle, usize)>,
 }
 
 /// Fewest values of a signal in a cycle: fewer do not tell its strokes.
@@ -288,7 +290,28 @@ impl Record {
         let range = ranges(&cycles, signals.len());
         let floor = floors(&cycles, &range);
         plausible(&signals, &cycles, spec)?;
-        Ok(Record { signals, cycles, range, floor, notes })
+        Ok(Record { signals, cycles, range, floor, notes, test: None })
+    }
+
+    /// The record with a test of the same machine, which is fitted to as well: another duty cycle, cut from a log of its own.
+    ///
+    /// # Errors
+    /// [`RecordError::Missing`] where the test's log lacks a signal that this one has.
+    pub fn with_test(mut self, test: &Record) -> Result<Self, RecordError> {
+        let all: Vec<usize> = (0..test.cycles.len()).collect();
+        let mut shown = test.mean(&all);
+        let bins = self
+            .signals
+            .iter()
+            .map(|signal| {
+                let place = test.signals.iter().position(|other| other == signal);
+                Ok(std::mem::take(&mut shown[place.ok_or(RecordError::Missing(signal.name()))?]))
+            })
+            .collect::<Result<_, RecordError>>()?;
+        let drive = mean_drive(test, &all);
+        self.notes.push(format!("{} cycles of a test are fitted to as well", all.len()));
+        self.test = Some((RecordedCycle { bins, drive }, all.len()));
+        Ok(self)
     }
 
     /// Some of its cycles as a record of their own, with their own floor.
@@ -301,13 +324,15 @@ impl Record {
             range: self.range.clone(),
             floor,
             notes: self.notes.clone(),
+            test: self.test.clone(),
         }
     }
 
     /// What was there, if its sensors are off by that much.
     pub(crate) fn without(&self, errors: &[Option<SensorError>]) -> Self {
         let mut record = self.clone();
-        for cycle in &mut record.cycles {
+        let test = record.test.iter_mut().map(|(test, _)| test);
+        for cycle in record.cycles.iter_mut().chain(test) {
             for (values, error) in cycle.bins.iter_mut().zip(errors) {
                 let Some(error) = error else { continue };
                 values.iter_mut().for_each(|value| *value = error.there(*value));
@@ -511,6 +536,21 @@ fn cut<A: SimulatedAxis>(
         })
         .collect();
     Some(RecordedCycle { bins, drive })
+}
+
+/// Mean of some cycles' drives.
+pub(crate) fn mean_drive(record: &Record, cycles: &[usize]) -> Vec<DriveSample> {
+    let mut mean = record.cycles[cycles[0]].drive.clone();
+    let n = cycles.len() as f64;
+    for (tick, sample) in mean.iter_mut().enumerate() {
+        let of = |pick: &dyn Fn(&DriveSample) -> f64| {
+            cycles.iter().map(|cycle| pick(&record.cycles[*cycle].drive[tick])).sum::<f64>() / n
+        };
+        sample.demand_m = of(&|sample| sample.demand_m);
+        sample.load_n = of(&|sample| sample.load_n);
+        sample.load_end_n = of(&|sample| sample.load_end_n);
+    }
+    mean
 }
 
 /// Fills short gaps along straight lines; `None` where too much is missing.

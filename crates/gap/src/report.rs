@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use crate::course::ChangeKind;
+use crate::next_test::NextTest;
 use crate::simulate::BinnedSignals;
 use crate::transducers::SensorError;
 
@@ -38,6 +39,8 @@ pub struct Diagnosis {
     pub no_effect_probability: f64,
     /// Where no effect explains the log: the laws that were learned in its place, most likely first.
     pub learned: Vec<LearnedCurve>,
+    /// What would tell the remaining explanations apart, where it was asked for.
+    pub next_test: Option<NextTest>,
     /// Effects that the machine is given.
     pub chosen: Vec<&'static str>,
     /// How far the gap shrinks on held-out cycles.

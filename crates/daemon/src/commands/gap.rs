@@ -13,10 +13,11 @@ use seepd_settings::UnknownKey;
 use seepd_settings::side_file;
 use seepd_signals::Signal;
 use seepd_sim::electric::ElectricAxis;
-use seepd_sim::{MachineSpec, PlantParameters};
+use seepd_sim::{DutyCycle, MachineSpec, PlantParameters};
 use seepd_simulator::SimulatorAxis;
 
 use super::blind::BlindArguments;
+use super::next_test::{self, TestFiles};
 use super::reading::MappingArguments;
 use super::simulate::read_plant;
 use super::user_simulator::{self, SimulatorArguments};
@@ -60,6 +61,18 @@ pub struct GapArguments {
     /// Write the plant file with the calibrated parameters and the chosen effects
     #[arg(long, value_name = "FILE")]
     emit_plant: Option<PathBuf>,
+    /// Say which short test, or which further sensor, would tell the remaining explanations apart
+    #[arg(long)]
+    next_test: bool,
+    /// The same, and write the test into this folder: its demand (CSV) and its plant file
+    #[arg(long, value_name = "DIR")]
+    emit_test: Option<PathBuf>,
+    /// Diagnose this log of a test together with the first one
+    #[arg(long, value_name = "LOG", requires = "test_plant")]
+    also: Option<PathBuf>,
+    /// Plant file whose duty cycle is the test's
+    #[arg(long, value_name = "FILE", requires = "also")]
+    test_plant: Option<PathBuf>,
     /// Leave this effect out of the catalogue; may be repeated
     #[arg(long, value_name = "EFFECT", value_parser = known_effect)]
     without: Vec<String>,
@@ -76,6 +89,21 @@ pub struct GapArguments {
 enum Other {
     /// Check the diagnosis on logs whose cause is withheld from it
     Blind(BlindArguments),
+}
+
+impl GapArguments {
+    /// The record of a test, if one is named.
+    fn test_record<A: PlantFile>(&self, config: &AxisConfig, spec: &A) -> Result<Option<Record>, Failure> {
+        let (Some(log), Some(plant)) = (&self.also, &self.test_plant) else { return Ok(None) };
+        let cycle = read_plant(Some(plant))?.cycle;
+        let spec = spec.with_cycle(&cycle).ok_or_else(|| {
+            Failure::new(Code::Usage, "--also: the duty cycle of a simulator of yours cannot be changed here")
+        })?;
+        let (values, _) = read(log, config, &spec)?;
+        let record = Record::new(&values, &spec)
+            .map_err(|error| Failure::data(format!("{}: {error}", log.display())))?;
+        Ok(Some(record))
+    }
 }
 
 fn known_effect(key: &str) -> Result<String, String> {
@@ -99,6 +127,11 @@ pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
     }
     let claim = |path: &Path, config: &AxisConfig| GapOutputs::claim(arguments, path, config);
     let (diagnosed, path, outputs) = diagnosed(arguments, claim)?;
+    if let Some((demand, plant)) = &outputs.test {
+        let test = diagnosed.test_files?;
+        demand.write(test.demand)?;
+        plant.write(test.plant)?;
+    }
     if let Some(emit_plant) = &outputs.emit_plant {
         emit_plant.write(diagnosed.plant_file?)?;
     }
@@ -111,6 +144,8 @@ pub struct Diagnosed {
     pub diagnosis: Diagnosis,
     /// The plant file of the machine as diagnosed, as new.
     pub plant_file: Result<String, Failure>,
+    /// The next test.
+    pub(crate) test_files: Result<TestFiles, Failure>,
     /// Where there is a plant to say how leaks flow.
     pub plant: Option<PlantParameters>,
 }
@@ -160,16 +195,22 @@ fn diagnosed_on<A: PlantFile>(
     spec: &A,
 ) -> Result<Diagnosed, Failure> {
     let (log, notes) = read(path, config, spec)?;
+    let test = arguments.test_record(config, spec)?;
     let steps = Steps::begin(seepd_gap::diagnosis::STEPS as u64, "diagnosing");
-    let settings = DiagnosisSettings { without: arguments.without.clone(), ..DiagnosisSettings::default() };
+    let settings = DiagnosisSettings {
+        without: arguments.without.clone(),
+        next_test: arguments.next_test || arguments.emit_test.is_some(),
+        ..DiagnosisSettings::default()
+    };
     let answered = pool(arguments.threads)?
-        .install(|| answer(&log, spec, &settings, &mut |done| steps.set(done as u64)));
+        .install(|| answer(&log, test.as_ref(), spec, &settings, &mut |done| steps.set(done as u64)));
     drop(steps);
     let (mut diagnosis, machine) =
         answered.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
     diagnosis.notes.extend(notes);
     diagnosis.notes.extend(spec.notes());
-    Ok(Diagnosed { diagnosis, plant_file: emitted(machine), plant: None })
+    let test_files = next_test::files(&machine, diagnosis.next_test.as_ref());
+    Ok(Diagnosed { diagnosis, plant_file: emitted(machine), test_files, plant: None })
 }
 
 /// Where a diagnosis goes.
@@ -177,6 +218,8 @@ struct GapOutputs {
     json: Option<JsonOutput>,
     html: Option<Output>,
     emit_plant: Option<Output>,
+    /// Demand and plant file of the next test.
+    test: Option<(Output, Output)>,
 }
 
 enum JsonOutput {
@@ -187,7 +230,9 @@ enum JsonOutput {
 
 impl GapOutputs {
     fn claim(arguments: &GapArguments, log: &Path, config: &AxisConfig) -> Result<Self, Failure> {
-        let named = arguments.plant.as_deref().into_iter().chain(arguments.mapping.files(config));
+        let plants = [&arguments.plant, &arguments.test_plant, &arguments.also];
+        let named = plants.into_iter().filter_map(|path| path.as_deref());
+        let named = named.chain(arguments.mapping.files(config));
         let mut outputs = Outputs::new(arguments.overwrite, [log].into_iter().chain(named));
         let json = match &arguments.json {
             Some(path) if path == Path::new("-") => Some(JsonOutput::Standard),
@@ -195,7 +240,14 @@ impl GapOutputs {
             None => None,
         };
         let html = outputs.claim_any(arguments.html.as_ref())?;
-        Ok(GapOutputs { json, html, emit_plant: outputs.claim_any(arguments.emit_plant.as_ref())? })
+        let test = match &arguments.emit_test {
+            Some(folder) => Some((
+                outputs.claim(&folder.join("next-test.csv"))?,
+                outputs.claim(&folder.join("next-test.toml"))?,
+            )),
+            None => None,
+        };
+        Ok(GapOutputs { json, html, emit_plant: outputs.claim_any(arguments.emit_plant.as_ref())?, test })
     }
 }
 
@@ -217,11 +269,16 @@ pub(super) fn pool(threads: Option<u16>) -> Result<rayon::ThreadPool, Failure> {
 /// [`RecordError`] for a log that holds too little.
 pub(super) fn answer<A: SimulatedAxis>(
     log: &Log,
+    test: Option<&Record>,
     spec: &A,
     settings: &DiagnosisSettings,
     tell: &mut dyn FnMut(usize),
 ) -> Result<(Diagnosis, A), RecordError> {
-    match Record::new(log, spec) {
+    let record = Record::new(log, spec).and_then(|record| match test {
+        Some(test) => record.with_test(test),
+        None => Ok(record),
+    });
+    match record {
         Ok(record) => Ok(diagnose(&record, spec, settings, tell)),
         Err(error @ (RecordError::Units { .. } | RecordError::Mismatch(_))) => {
             Ok((cannot_tell(error.to_string()), spec.clone()))
@@ -234,6 +291,10 @@ pub(super) fn answer<A: SimulatedAxis>(
 pub(super) trait PlantFile: SimulatedAxis {
     /// The file's text.
     fn text(&self) -> Result<String, String>;
+    /// The same axis with another duty cycle, if it can have one.
+    fn with_cycle(&self, _cycle: &DutyCycle) -> Option<Self> {
+        None
+    }
     /// What there is to say of it after a diagnosis.
     fn notes(&self) -> Vec<String> {
         Vec::new()
@@ -241,12 +302,20 @@ pub(super) trait PlantFile: SimulatedAxis {
 }
 
 impl PlantFile for MachineSpec {
+    fn with_cycle(&self, cycle: &DutyCycle) -> Option<Self> {
+        Some(MachineSpec { cycle: cycle.clone(), ..self.clone() })
+    }
+
     fn text(&self) -> Result<String, String> {
         self.with_stable_steps().to_toml().map_err(|error| error.to_string())
     }
 }
 
 impl PlantFile for ElectricAxis {
+    fn with_cycle(&self, cycle: &DutyCycle) -> Option<Self> {
+        Some(ElectricAxis { cycle: cycle.clone(), ..self.clone() })
+    }
+
     fn text(&self) -> Result<String, String> {
         self.to_toml().map_err(|error| error.to_string())
     }
@@ -413,6 +482,7 @@ fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
     text += &format!("  {:>6}  none of these\n", percent(diagnosis.unknown_probability));
     text += &format!("  {:>6}  no effect, only other parameters\n", percent(diagnosis.no_effect_probability));
     text += &learned_laws(diagnosis);
+    text += &next_test::report(diagnosis.next_test.as_ref());
     text += "\ncalibrated parameters, divided by those of the plant file:\n";
     for (symbol, value) in &diagnosis.calibrated {
         let ratio = value.fitted / value.nominal;

@@ -21,6 +21,8 @@ pub mod gap;
 pub mod init;
 pub mod inspect;
 pub mod learn_baseline;
+#[cfg(feature = "gap")]
+pub(crate) mod next_test;
 pub mod reading;
 pub mod repair;
 pub mod replay;

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use maud::{Markup, html};
 use seepd_gap::Diagnosis;
+use seepd_gap::next_test::NextTest;
 use seepd_gap::report::{LearnedCurve, RankedEffect};
 use seepd_monitor::event::LPM_PER_M3_PER_S;
 use seepd_monitor::pipeline::REFERENCE_DP_PA;
@@ -12,6 +13,7 @@ use seepd_sim::PlantParameters;
 
 use super::chart::{Axis, Chart, Layer, number};
 use super::page;
+use crate::commands::next_test::told;
 use crate::quantity;
 
 /// What the page shows.
@@ -51,6 +53,10 @@ impl GapPage<'_> {
                 @if !found.learned.is_empty() {
                     h2 { "A law without a name" }
                     (learned_laws(&found.learned))
+                }
+                @if let Some(next) = &found.next_test {
+                    h2 { "What to try next" }
+                    (next_test(next))
                 }
                 h2 { "Where" }
                 p.soft { "Shares of the imbalance that is left after the calibration, by equation and phase of the duty cycle." }
@@ -242,6 +248,28 @@ fn learned_laws(laws: &[LearnedCurve]) -> Markup {
                 @if law.adopted { "; the machine as chosen has it, and " code { "--emit-plant" } " writes it as " code { (law.effect) } }
                 ". " span.soft { (law.law) } }
             (learned_curve(law))
+        }
+    }
+}
+
+/// Tests and sensors that would tell the remaining explanations apart.
+fn next_test(next: &NextTest) -> Markup {
+    html! {
+        p.soft { "What would tell these apart: "
+            (next.explanations.iter().map(|(name, share)| format!("{name} ({})", percent(*share))).collect::<Vec<_>>().join(", ")) "." }
+        @if !next.tells { p { "No allowed test is expected to tell them apart for certain." } }
+        table.bars {
+            thead { tr { th { "Test" } th.number { "length" } th.number { "information" } th.number { "the right one would then have" } } }
+            tbody { @for proposal in &next.proposals { tr {
+                td { (proposal.what) }
+                td.number { @if proposal.sensor.is_none() { (format!("{:.0} s", proposal.seconds)) } }
+                td.number { (format!("{:.2} bit", proposal.information_bit)) }
+                td.number { (percent(proposal.expected_probability)) }
+            } } }
+        }
+        @if let Some(best) = next.proposals.first() {
+            p { "What the first of them would show:" }
+            ul { @for outcome in &best.outcomes { li { (told(outcome)) } } }
         }
     }
 }
