@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use seepd_sim::effects::EffectInfo;
+use seepd_sim::learned::Site;
 use seepd_sim::real::LANES;
 
 use crate::course::{ChangeKind, change};
@@ -56,6 +57,8 @@ const ALIKE: f64 = 0.5;
 const BEYOND_ITS_CLASS: f64 = 2.0;
 /// Share of the held-out gap, in squares, that a machine's last effect has to leave at most.
 const BORNE_OUT: f64 = 0.9;
+/// Probability from which a learned law is given to the machine: below it, it imitates something else.
+const LIKELY_AT_ALL: f64 = 0.1;
 /// Signature, in expected errors, below which an effect cannot be seen.
 const VISIBLE: f64 = 2.0;
 
@@ -152,6 +155,7 @@ fn diagnose_unchanged<A: SimulatedAxis>(
         ranked: &ranked,
         held_out: &held_out,
         learned: &learned,
+        adopted: adopted(&held_out, &ranked.calibrated, &learned),
     };
     let diagnosis = told.diagnosis(settings, verdict, reason, fitted.len());
     tell(STEPS);
@@ -178,6 +182,18 @@ fn borne_out<A: SimulatedAxis>(held_out: &HeldOut<'_>, explanations: &mut Vec<Ex
         .collect();
     let mut kept = kept.into_iter();
     explanations.retain(|_| kept.next().unwrap_or(true));
+}
+
+/// The most likely law without a name, if it is likely at all and takes something of the gap on the held-out cycles as well.
+fn adopted<'l, A: SimulatedAxis>(
+    held_out: &HeldOut<'_>,
+    calibrated: &Fit<A>,
+    learned: &'l [LearnedMachine<A>],
+) -> Option<&'l LearnedMachine<A>> {
+    let best = learned.first().filter(|best| best.probability >= LIKELY_AT_ALL)?;
+    let gaps = held_out.gaps(&[calibrated.spec.clone(), best.spec.clone()]);
+    let [before, after] = [0, 1].map(|machine| held_out.beyond_expected(&gaps[machine]));
+    (after < BORNE_OUT * before).then_some(best)
 }
 
 /// Gap of a machine in which wear alone is fitted, by signal, on the cycles that a diagnosis holds out.
@@ -389,6 +405,8 @@ struct DiagnosisInputs<'a, A> {
     ranked: &'a RankedExplanations<A>,
     held_out: &'a HeldOut<'a>,
     learned: &'a [LearnedMachine<A>],
+    /// The learned law that the machine is given.
+    adopted: Option<&'a LearnedMachine<A>>,
 }
 
 impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
@@ -397,17 +415,9 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         match (verdict, self.ranked.explanations.first()) {
             (Verdict::Effect, Some((best, _))) => &best.fit.spec,
             (Verdict::NoGap, _) => &self.nominal.spec,
-            (Verdict::Unknown, _) => self.adopted().map_or(&self.ranked.calibrated.spec, |one| &one.spec),
+            (Verdict::Unknown, _) => self.adopted.map_or(&self.ranked.calibrated.spec, |one| &one.spec),
             _ => &self.ranked.calibrated.spec,
         }
-    }
-
-    /// The most likely law without a name, if it takes something of the gap on the held-out cycles as well.
-    fn adopted(&self) -> Option<&LearnedMachine<A>> {
-        let best = self.learned.first()?;
-        let gaps = self.held_out.gaps(&[self.ranked.calibrated.spec.clone(), best.spec.clone()]);
-        let left = gaps.iter().map(|gaps| self.held_out.beyond_expected(gaps)).collect::<Vec<_>>();
-        (left[1] < BORNE_OUT * left[0]).then_some(best)
     }
 
     /// What would tell the remaining explanations apart: machines with effects, calibration alone, and laws without a name.
@@ -442,7 +452,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         next_test(self.record, self.spec, candidates)
     }
 
-    fn learned_curves(&self, nominal: &[f64], adopted: bool) -> Vec<LearnedCurve> {
+    fn learned_curves(&self, nominal: &[f64]) -> Vec<LearnedCurve> {
         let machines: Vec<A> = self.learned.iter().map(|one| one.spec.clone()).collect();
         if machines.is_empty() {
             return Vec::new();
@@ -451,10 +461,9 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         self.learned
             .iter()
             .zip(gaps)
-            .enumerate()
-            .map(|(index, (one, gaps))| {
-                let shrink = self.held_out.shrink(nominal, &gaps, true);
-                one.told(shrink, adopted && index == 0)
+            .map(|(one, gaps)| {
+                let adopted = self.adopted.is_some_and(|adopted| std::ptr::eq(adopted, one));
+                one.told(self.held_out.shrink(nominal, &gaps, true), adopted)
             })
             .collect()
     }
@@ -533,7 +542,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             distinguish: distinguish(self.spec, record, &findings, &ranked.candidates, verdict),
             effects: findings,
             next_test: if settings.next_test { self.next_test() } else { None },
-            learned: self.learned_curves(&gaps[0], !std::ptr::eq(chosen, &raw const calibrated.spec)),
+            learned: self.learned_curves(&gaps[0]),
             sensors: self.sensors(&of_chosen),
             change: None,
             notes: self.notes(&of_chosen),
@@ -590,6 +599,9 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
     /// What there is to know of the log, with the transducers that are further off than their class allows.
     fn notes(&self, errors: &[Option<SensorError>]) -> Vec<String> {
         let mut notes = self.record.notes.clone();
+        if self.adopted.is_some_and(|one| one.law.site == Site::Seal) {
+            notes.push("the learned law is a flow past the piston: the leak is what it and the leak area pass together".into());
+        }
         for (signal, error) in self.record.signals.iter().zip(errors) {
             let Some(error) = error.filter(|error| error.of_its_class(*signal) > BEYOND_ITS_CLASS) else {
                 continue;
