@@ -91,7 +91,10 @@ pub(super) fn files<A: PlantFile>(machine: &A, next: Option<&NextTest>) -> Resul
         let _ = writeln!(demand, "{:.6};{:.7}", tick as f64 * period_s, best.cycle.demand_m(at_s));
     }
     let with_test = machine.with_cycle(&best.cycle).ok_or_else(|| {
-        Failure::new(Code::Usage, "--emit-test: the duty cycle of a simulator of yours cannot be changed here")
+        Failure::new(
+            Code::Usage,
+            "--emit-test: the duty cycle of a simulator of yours cannot be changed here",
+        )
     })?;
     Ok(TestFiles { demand, plant: emitted(with_test)? })
 }
