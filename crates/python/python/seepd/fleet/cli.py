@@ -114,13 +114,14 @@ def _run(parsed: argparse.Namespace) -> int:
         rehash=parsed.rehash,
         options=_options(parsed.option),
     )
-    engine = _engine(parsed, shard is not None)
+    engine, progress = _engine(parsed, shard is not None), _Progress()
     try:
-        outcome = run(manifest, settings, engine, _Progress())
+        outcome = run(manifest, settings, engine, progress)
     except SeepdError as error:
         _say("stopped; what is done is kept, and the same command goes on from there")
         raise error from None
     finally:
+        progress.end()
         engine.close()
     _told(outcome, parsed.json)
     return 0
@@ -141,6 +142,11 @@ class _Progress:
 
     def __init__(self) -> None:
         self.is_terminal = sys.stderr.isatty()
+
+    def end(self) -> None:
+        """Leaves the line."""
+        if self.is_terminal:
+            print(file=sys.stderr)
 
     def __call__(self, outcome: Outcome) -> None:
         total = outcome.counts.total()

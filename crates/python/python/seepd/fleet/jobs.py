@@ -59,7 +59,8 @@ def perform(unit: Unit) -> dict[str, Any]:
             row |= {"status": "ok", "notes": notes, **more}
         except _StoreError as error:
             raise error.cause from None
-        except (SeepdError, OSError) as error:
+        except Exception as error:
+            # Whatever it is, it is this log's: the next one may be another matter.
             row |= _failure(error)
             # What was written before is void.
             for table in ("cycles", "effects"):
@@ -108,8 +109,13 @@ class _StoreError(Exception):
 
 
 def _failure(error: Exception) -> dict[str, Any]:
-    kind = _KINDS.get(error.exit_code, "internal") if isinstance(error, SeepdError) else "io"
-    return {"status": "failed", "kind": kind, "reason": one_line(error), "notes": []}
+    if isinstance(error, SeepdError):
+        kind, reason = _KINDS.get(error.exit_code, "internal"), one_line(error)
+    elif isinstance(error, OSError):
+        kind, reason = "io", one_line(error)
+    else:
+        kind, reason = "internal", f"{type(error).__name__}: {one_line(error)}"
+    return {"status": "failed", "kind": kind, "reason": reason, "notes": []}
 
 
 def _write(store: Store, table: str, unit: Unit, rows: Any) -> None:
@@ -187,13 +193,14 @@ def _evaluate(unit: Unit, store: Store, path: str) -> dict[str, Any]:
     options = {key: unit[key] for key in ("truth", "learn_cycles", "baseline") if unit.get(key) is not None}
     evaluation = seepd.evaluate(path, **_reading(unit), **options)
     sizes = evaluation["sizes"][-1]
-    decades = [each for each in sizes.get("classes", []) if each.get("cycles")]
-    largest: dict[str, Any] = max(decades, key=lambda each: each["cycles"], default={})
+    # NaN is null in JSON: a decade without cycles.
+    decades = [decade for decade in sizes["decades"] if decade["median_relative_error"] is not None]
+    largest: dict[str, Any] = max(decades, key=lambda decade: decade["count"], default={})
     return {
         "cycles": evaluation["cycles"],
         "rejected": list(evaluation["rejected"].items()),
         "median_relative_error": largest.get("median_relative_error"),
-        "coverage": sizes.get("coverage"),
+        "coverage": sizes["coverage"],
         "result": json.dumps(evaluation),
     }
 
