@@ -198,7 +198,9 @@ class Ray:
                     under_way[remote.remote(unit)] = unit
             if not under_way:
                 return
-            done, _ = ray.wait(list(under_way), num_returns=1)
+            done, others = ray.wait(list(under_way), num_returns=1)
+            # What else is done comes with it: a wait looks at every task that is under way.
+            done += ray.wait(others, num_returns=len(others), timeout=0)[0] if others else []
             for task in done:
                 unit = under_way.pop(task)
                 try:
