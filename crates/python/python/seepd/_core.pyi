@@ -1,12 +1,31 @@
 """The compiled half."""
 
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
 
+__all__ = [
+    "Batch",
+    "Forest",
+    "RowReader",
+    "__version__",
+    "diagnose",
+    "effects",
+    "embedded_model",
+    "evaluate",
+    "learn_baseline",
+    "main",
+    "read",
+    "replay",
+    "replay_arrays",
+    "simulate",
+    "train",
+]
+
 __version__: str
 
+@final
 class Batch:
     @property
     def column_names(self) -> list[str]: ...
@@ -15,8 +34,9 @@ class Batch:
     def __arrow_c_schema__(self) -> object: ...
     def column(self, name: str) -> npt.NDArray[Any] | list[Any]: ...
 
+@final
 class RowReader:
-    def __init__(self, json: bytes) -> None: ...
+    def __new__(cls, json: bytes) -> RowReader: ...
     @property
     def samples(self) -> int: ...
     def learn(self, rows: npt.NDArray[np.float64], occasion: str) -> str: ...
@@ -24,6 +44,7 @@ class RowReader:
         self, rows: npt.NDArray[np.float64], baseline: str | None = None
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]: ...
 
+@final
 class Forest:
     @staticmethod
     def grow(
