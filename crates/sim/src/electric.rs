@@ -177,7 +177,11 @@ impl ElectricAxis {
         })
     }
 
-    fn check(&self) -> Result<(), SpecError> {
+    /// Checks every value.
+    ///
+    /// # Errors
+    /// [`SpecError`] for the first thing that is wrong.
+    pub fn check(&self) -> Result<(), SpecError> {
         let positive = [
             ("plant.mass_kg", self.plant.mass_kg),
             ("plant.full_force_n", self.plant.full_force_n),
@@ -251,28 +255,90 @@ impl ElectricAxis {
 
     /// Runs the axis along a drive, from rest at its first demand, and hands each tick to `sink` with its number.
     pub fn follow(&self, drive: &[DriveSample], mut sink: impl FnMut(usize, ElectricSignals)) {
-        let (plant, controller, numbers) = (&self.plant, &self.controller, self.numbers());
-        let steps = controller.steps_per_period.max(1);
-        let h = controller.period_s / steps as f64;
-        let mut x = drive.first().map_or(0.0, |sample| sample.demand_m);
-        let mut v = 0.0;
+        let machine = ElectricMachine::new(self);
+        let mut state = ElectricState::at_rest(drive.first().map_or(0.0, |sample| sample.demand_m));
         for (tick, sample) in drive.iter().enumerate() {
-            let speed = controller.position_gain_per_s * (sample.demand_m - x);
-            let command = (controller.velocity_gain_s_per_m * (speed - v)).clamp(-1.0, 1.0);
-            sink(tick, ElectricSignals { command, position_m: x });
-            for _ in 0..steps {
-                // Friction is linear in the new speed within the transition: m (v' − v)/h = F − c v', with c = F_v + size/transition.
-                let size = numbers.friction_n(v, x - 0.5 * plant.stroke_m);
-                let slope = size * slope_of_direction(v);
-                let rest = size * direction(v) - slope * v;
-                let push = plant.full_force_n * command + numbers.offset_n + sample.load_n - rest;
-                let resistance = plant.viscous_friction_n_s_per_m + slope;
-                v = (v + h / plant.mass_kg * push) / (1.0 + h / plant.mass_kg * resistance);
-                x += h * v;
-            }
+            let command = machine.command(&state, sample.demand_m);
+            sink(tick, ElectricSignals { command, position_m: state.position_m });
+            machine.run(&mut state, command, sample.load_n);
         }
     }
 }
+
+/// What changes while an axis runs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ElectricState {
+    /// Position, m.
+    pub position_m: f64,
+    /// Velocity, m/s.
+    pub velocity_m_per_s: f64,
+}
+
+impl ElectricState {
+    /// At rest at a position, m.
+    pub fn at_rest(position_m: f64) -> Self {
+        ElectricState { position_m, velocity_m_per_s: 0.0 }
+    }
+}
+
+/// An axis, advanced a tick at a time: parameters only, what changes is in an [`ElectricState`].
+pub struct ElectricMachine {
+    plant: ElectricPlant,
+    controller: Cascade,
+    effects: Effects,
+    /// Longest step, s.
+    step_s: f64,
+}
+
+impl ElectricMachine {
+    /// The machine of a file.
+    pub fn new(axis: &ElectricAxis) -> Self {
+        let controller = axis.controller.clone();
+        let step_s = controller.period_s / controller.steps_per_period.max(1) as f64;
+        ElectricMachine { plant: axis.plant.clone(), controller, effects: axis.numbers(), step_s }
+    }
+
+    /// The controller's command at a tick, share of full command.
+    pub fn command(&self, state: &ElectricState, demand_m: f64) -> f64 {
+        let speed = self.controller.position_gain_per_s * (demand_m - state.position_m);
+        (self.controller.velocity_gain_s_per_m * (speed - state.velocity_m_per_s)).clamp(-1.0, 1.0)
+    }
+
+    /// The plant from one tick to the next under a held command and load.
+    pub fn run(&self, state: &mut ElectricState, command: f64, load_n: f64) {
+        let steps = self.controller.steps_per_period.max(1);
+        self.advance(state, command, load_n, (steps, self.step_s));
+    }
+
+    /// As [`run`](Self::run), over any time, s, in steps that are no longer than its own. One period gives the bits of `run`.
+    pub fn run_for(&self, state: &mut ElectricState, command: f64, load_n: f64, over_s: f64) {
+        let period_s = self.controller.period_s;
+        if (over_s - period_s).abs() <= SAME_PERIOD * period_s {
+            return self.run(state, command, load_n);
+        }
+        let steps = (over_s / self.step_s * (1.0 - SAME_PERIOD)).ceil().max(1.0);
+        self.advance(state, command, load_n, (steps as usize, over_s / steps));
+    }
+
+    fn advance(&self, state: &mut ElectricState, command: f64, load_n: f64, (steps, h): (usize, f64)) {
+        let (plant, effects) = (&self.plant, &self.effects);
+        let ElectricState { position_m: mut x, velocity_m_per_s: mut v } = *state;
+        for _ in 0..steps {
+            // Friction is linear in the new speed within the transition: m (v' − v)/h = F − c v', with c = F_v + size/transition.
+            let size = effects.friction_n(v, x - 0.5 * plant.stroke_m);
+            let slope = size * slope_of_direction(v);
+            let rest = size * direction(v) - slope * v;
+            let push = plant.full_force_n * command + effects.offset_n + load_n - rest;
+            let resistance = plant.viscous_friction_n_s_per_m + slope;
+            v = (v + h / plant.mass_kg * push) / (1.0 + h / plant.mass_kg * resistance);
+            x += h * v;
+        }
+        *state = ElectricState { position_m: x, velocity_m_per_s: v };
+    }
+}
+
+/// Share of a period by which a step may differ from it and be meant as one.
+const SAME_PERIOD: f64 = 1e-9;
 
 fn direction(v: f64) -> f64 {
     libm::tanh(v / TRANSITION_SPEED_M_PER_S)

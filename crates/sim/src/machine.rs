@@ -170,13 +170,8 @@ impl<T: Real> Machine<T> {
     /// One controller tick: measure, compute the command, record, and run the plant to the next tick.
     #[inline(always)]
     pub fn tick(&self, state: &mut MachineState<T>, input: &Input<T>) -> SimulatedSignals<T> {
-        let mut position = state.plant.x;
-        let sensing = Sensing { period: self.period };
-        for (law, memory) in self.laws.iter().zip(&mut state.memory) {
-            position = law.sense(memory, position, &sensing);
-        }
-        let asked = if self.corrects_errors { self.corrected(input.demand, position) } else { input.demand };
-        let command = self.pid.tick(&mut state.pid, asked, position);
+        let position = self.sense(state);
+        let command = self.command(state, input.demand, position);
         let signals = SimulatedSignals {
             command,
             demand: input.demand,
@@ -186,11 +181,10 @@ impl<T: Real> Machine<T> {
             p_cap: state.plant.p_1,
             p_rod: state.plant.p_2,
             load: input.load,
-            leak_flow: self.plant.leak_flow(&state.plant, input.a_leak),
+            leak_flow: self.leak_flow(state, input.a_leak),
             leak_area: input.a_leak,
         };
         self.run(state, command, input);
-        state.tick += 1;
         signals
     }
 
@@ -199,15 +193,53 @@ impl<T: Real> Machine<T> {
         position + self.laws.iter().fold(demand - position, |error, law| law.correct(error))
     }
 
+    /// The measured position at a tick: once a tick, as sensors remember.
+    #[inline(always)]
+    pub fn sense(&self, state: &mut MachineState<T>) -> T {
+        self.sense_after(state, self.period)
+    }
+
+    /// As [`sense`](Self::sense), a time after the last measurement, s.
+    #[inline(always)]
+    pub fn sense_after(&self, state: &mut MachineState<T>, period: T) -> T {
+        let sensing = Sensing { period };
+        let laws = self.laws.iter().zip(&mut state.memory);
+        laws.fold(state.plant.x, |position, (law, memory)| law.sense(memory, position, &sensing))
+    }
+
+    /// The controller's command of a tick, for a demand and a measured position: once a tick.
+    #[inline(always)]
+    pub fn command(&self, state: &mut MachineState<T>, demand: T, position: T) -> T {
+        let asked = if self.corrects_errors { self.corrected(demand, position) } else { demand };
+        self.pid.tick(&mut state.pid, asked, position)
+    }
+
+    /// Flow past the piston, cap → rod, m³/s.
+    #[inline(always)]
+    pub fn leak_flow(&self, state: &MachineState<T>, a_leak: T) -> T {
+        self.plant.leak_flow(&state.plant, a_leak)
+    }
+
     /// The plant from one tick to the next under a held command.
     #[inline(always)]
     pub fn run(&self, state: &mut MachineState<T>, command: T, input: &Input<T>) {
-        let load_step = (input.load_end - input.load) * T::splat(1.0 / self.steps as f64);
+        self.advance(state, command, input, (self.steps, self.dt, self.period));
+    }
+
+    /// As [`run`](Self::run), in a number of steps, of a length in s, in a period, s.
+    #[inline(always)]
+    fn advance(
+        &self,
+        state: &mut MachineState<T>,
+        command: T,
+        input: &Input<T>,
+        (steps, dt, period): (usize, T, T),
+    ) {
+        let load_step = (input.load_end - input.load) * T::splat(1.0 / steps as f64);
         let mut load = input.load;
-        for index in 0..self.steps {
+        for index in 0..steps {
             let mut u = command;
-            let substep =
-                Substep { tick: state.tick, index, steps: self.steps, dt: self.dt, period: self.period };
+            let substep = Substep { tick: state.tick, index, steps, dt, period };
             for (law, memory) in self.laws.iter().zip(&mut state.memory) {
                 u = law.spool(memory, u, &substep);
             }
@@ -218,13 +250,29 @@ impl<T: Real> Machine<T> {
             } else {
                 ActingLaws { laws: &[], memory: &[] }
             };
-            let next = self.plant.rk4(&state.plant, &drive, self.dt, &acting);
+            let next = self.plant.rk4(&state.plant, &drive, dt, &acting);
             if self.has_states {
-                self.plant.advance_laws(&state.plant, &drive, self.dt, &self.laws, &mut state.memory);
+                self.plant.advance_laws(&state.plant, &drive, dt, &self.laws, &mut state.memory);
             }
             state.plant = cavitation_held(&next, &mut state.clamped_pressures);
             load = load_end;
         }
+        state.tick += 1;
+    }
+}
+
+/// Share of a period by which a step may differ from it and be meant as one: sums of decimal fractions are off by some bits.
+const SAME_PERIOD: f64 = 1e-9;
+
+impl Machine<f64> {
+    /// The plant over any time, s, under a held command, in steps that are no longer than its own: for whoever steps it from outside. One
+    /// period gives the bits of [`run`](Self::run).
+    pub fn run_for(&self, state: &mut MachineState<f64>, command: f64, input: &Input<f64>, over_s: f64) {
+        if (over_s - self.period).abs() <= SAME_PERIOD * self.period {
+            return self.run(state, command, input);
+        }
+        let steps = (over_s / self.dt * (1.0 - SAME_PERIOD)).ceil().max(1.0);
+        self.advance(state, command, input, (steps as usize, over_s / steps, over_s));
     }
 }
 

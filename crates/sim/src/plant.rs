@@ -36,17 +36,19 @@ pub struct ParameterInfo {
     pub symbol: &'static str,
     /// SI unit; "1" for shares.
     pub unit: &'static str,
+    /// What it is, in a phrase with its unit.
+    pub description: &'static str,
     /// Smallest admitted value.
     pub minimum: f64,
 }
 
 macro_rules! plant_parameters {
-    ($($(#[$doc:meta])* $key:ident, $symbol:literal, $unit:literal, $default:expr, min $minimum:expr;)*) => {
+    ($(#[doc = $doc:literal] $key:ident, $symbol:literal, $unit:literal, $default:expr, min $minimum:expr;)*) => {
         /// The plant's parameters: the `[plant]` table of `plant.toml`. A field's symbol is an alias of its key.
         #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
         #[serde(default, deny_unknown_fields)]
         pub struct PlantParameters {
-            $($(#[$doc])* #[serde(alias = $symbol)] pub $key: f64,)*
+            $(#[doc = $doc] #[serde(alias = $symbol)] pub $key: f64,)*
         }
 
         impl Default for PlantParameters {
@@ -58,7 +60,13 @@ macro_rules! plant_parameters {
         impl PlantParameters {
             /// Every parameter, in the order of the file.
             pub const ALL: &'static [ParameterInfo] = &[
-                $(ParameterInfo { key: stringify!($key), symbol: $symbol, unit: $unit, minimum: $minimum },)*
+                $(ParameterInfo {
+                    key: stringify!($key),
+                    symbol: $symbol,
+                    unit: $unit,
+                    description: $doc.trim_ascii(),
+                    minimum: $minimum,
+                },)*
             ];
 
             /// The parameter of that key or symbol.
