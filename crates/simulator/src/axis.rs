@@ -64,7 +64,9 @@ impl SimulatorAxis {
 fn catalogue(spec: &SimulatorSpec) -> Arc<[&'static EffectInfo]> {
     let at_ports = effects::ALL
         .iter()
-        .filter(|effect| port_of(effect.key()).is_some_and(|port| spec.has(port)))
+        .filter(|effect| {
+            spec.inside.contains_key(effect.key()) || port_of(effect.key()).is_some_and(|port| spec.has(port))
+        })
         .map(|effect| effect.info());
     let on_demand = demand::CATALOGUE.iter().filter(|_| spec.controller.is_none() && !spec.is_stepped());
     at_ports.chain(on_demand).chain(own_effects(spec)).collect()
@@ -101,18 +103,19 @@ fn own_effects(spec: &SimulatorSpec) -> Vec<&'static EffectInfo> {
 fn calibrated(name: &str, parameter: &ParameterSpec) -> CalibratedParameter {
     let bounds = parameter.bounds();
     let positive = bounds.0 > 0.0 && !parameter.wear;
+    let unit = parameter.unit.unwrap_or(0.2 * (bounds.1 - bounds.0));
     CalibratedParameter {
         key: name.into(),
         symbol: parameter.symbol.as_deref().unwrap_or(name).into(),
         bounds,
-        scale: if positive { Scale::Logarithmic } else { Scale::Linear(0.2 * (bounds.1 - bounds.0)) },
+        scale: if positive { Scale::Logarithmic } else { Scale::Linear(unit) },
         sigma: match (parameter.sigma, positive) {
             (Some(sigma), true) => Some(sigma),
-            (Some(sigma), false) => Some(sigma / (0.2 * (bounds.1 - bounds.0))),
+            (Some(sigma), false) => Some(sigma / unit),
             (None, true) => Some(std::f64::consts::LN_2),
             (None, false) => None,
         },
-        hardly_told: false,
+        hardly_told: parameter.hardly_told,
     }
 }
 
@@ -159,7 +162,7 @@ impl SimulatedAxis for SimulatorAxis {
         &mut self.spec.with
     }
 
-    /// Forces are in proportion to the drive's, lengths to the stroke; the simulator's own are as its file says.
+    /// Forces are in proportion to the drive's, lengths to the stroke, times end with the cycle; the simulator's own are as its file says.
     fn range(&self, effect: &EffectInfo, parameter: &Parameter) -> (f64, f64) {
         let (low, high) = parameter.range;
         let force = self.spec.full_force_n / NOMINAL_FORCE_N;
@@ -171,11 +174,17 @@ impl SimulatedAxis for SimulatorAxis {
             "m" => length,
             _ => 1.0,
         };
-        (scale * low, scale * high)
+        match parameter.name {
+            "start_s" | "duration_s" => (low, high.min(self.spec.cycle.period_s)),
+            "neutral_position_m" => (low, self.spec.stroke_m),
+            _ => (scale * low, scale * high),
+        }
     }
 
-    fn acts(&self, _effect: &EffectInfo, _parameter: &Parameter) -> bool {
-        true
+    /// A factor on a gain of 0 is none.
+    fn acts(&self, effect: &EffectInfo, parameter: &Parameter) -> bool {
+        let is_braking = effect.key == "controller_gains" && parameter.name == "kd";
+        !(is_braking && self.spec.controller.as_ref().is_some_and(|controller| controller.kd == 0.0))
     }
 
     fn duty_cycle(&self) -> &DutyCycle {

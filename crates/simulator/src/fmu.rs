@@ -17,6 +17,7 @@ use nix::sys::resource::{Resource, setrlimit};
 use nix::sys::signal::Signal as ProcessSignal;
 use nix::unistd::{dup, dup2_stdout};
 use seepd_fmi::{Causality, Fmu, Instance, InstanceError, ModelDescription, Variable};
+use seepd_gap::record::binned;
 use seepd_settings::UnknownKey;
 use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
@@ -27,7 +28,7 @@ use tempfile::TempDir;
 use thiserror::Error;
 
 use crate::child::LineChild;
-use crate::simulators::{HostedRun, RunError, around};
+use crate::simulators::{Hosted, HostedDrive, HostedRun, RunError, around};
 use crate::spec::{FmuSpec, FmuVariable, SimulatorSpec, VELOCITY};
 
 /// Memory that a host may have, bytes: a model that allocates without end must not take the machine's.
@@ -65,13 +66,21 @@ pub enum FmuError {
         #[source]
         unknown: UnknownKey,
     },
+    /// A value that is no number.
+    #[error("the simulator's `{signal}` is no number at {at_s:.3} s")]
+    NotANumber {
+        /// Signal.
+        signal: &'static str,
+        /// Time in the run, s.
+        at_s: f64,
+    },
     /// The model does not run.
     #[error(transparent)]
     Instance(#[from] InstanceError),
 }
 
 /// The platform of this program, by its name in FMI 3.
-fn platform() -> String {
+pub fn platform() -> String {
     let system = match std::env::consts::OS {
         "macos" => "darwin",
         other => other,
@@ -161,11 +170,12 @@ pub fn serve() -> std::io::Result<()> {
     writeln!(answers, "{}", json!({}))?;
     for line in lines {
         let asked = serde_json::from_str::<HostedRun>(&line?).map_err(std::io::Error::other)?;
-        let answer = match model.run(&hosted.spec, asked) {
-            Ok(series) => json!(series),
-            Err(error) => json!({ "error": error.to_string() }),
-        };
-        writeln!(answers, "{answer}")?;
+        let answer = model
+            .run(&hosted.spec, asked)
+            .unwrap_or_else(|error| Hosted { error: Some(error.to_string()), ..Hosted::default() });
+        let mut text = serde_json::to_string(&answer).map_err(std::io::Error::other)?;
+        text.push('\n');
+        answers.write_all(text.as_bytes())?;
     }
     Ok(())
 }
@@ -217,6 +227,8 @@ struct HostedFmu {
     fresh: bool,
     parameters: Vec<(u32, f64)>,
     latency: usize,
+    /// What the model was last asked to follow.
+    drive: Vec<DriveSample>,
 }
 
 #[expect(unsafe_code, reason = "foreign code is what this process is for; it is confined and may die")]
@@ -283,6 +295,9 @@ impl HostedFmu {
         for effect in spec.effects.values() {
             named(&description, "effects", &effect.parameter, Causality::Parameter)?;
         }
+        for variable in spec.inside.values().flat_map(BTreeMap::values) {
+            named(&description, "inside", variable, Causality::Parameter)?;
+        }
         let set = set.collect::<Result<Vec<_>, FmuError>>()?;
         let mut hosted = HostedFmu {
             instance: instance(folder, &hosted.library, &description)?,
@@ -296,6 +311,7 @@ impl HostedFmu {
             fresh: true,
             parameters: Vec::new(),
             latency: 0,
+            drive: Vec::new(),
             description,
         };
         hosted.latency = hosted.measured_latency(spec)?;
@@ -326,11 +342,7 @@ impl HostedFmu {
         Ok((0..MOST_LATENCY).find(differs).unwrap_or(0))
     }
 
-    fn run(
-        &mut self,
-        spec: &SimulatorSpec,
-        asked: HostedRun,
-    ) -> Result<BTreeMap<&'static str, Vec<f64>>, FmuError> {
+    fn run(&mut self, spec: &SimulatorSpec, asked: HostedRun) -> Result<Hosted, FmuError> {
         let mut machine = spec.clone();
         machine.with = asked.with;
         self.parameters.clear();
@@ -338,27 +350,28 @@ impl HostedFmu {
             let found = named(&self.description, "parameters", name, Causality::Parameter)?;
             self.parameters.push((found.reference, *value));
         }
-        let ends = asked.load.iter().skip(1).chain(asked.load.last());
-        let samples = asked.demand.iter().zip(&asked.load).zip(ends).enumerate();
-        let drive: Vec<DriveSample> = samples
-            .map(|(tick, ((demand_m, load_n), load_end_n))| DriveSample {
-                run: 0,
-                at_s: tick as f64 * machine.tick_s(),
-                demand_m: *demand_m,
-                load_n: *load_n,
-                load_end_n: *load_end_n,
-                leak_area_m2: 0.0,
-            })
-            .collect();
-        let mut series: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
+        let period_s = machine.tick_s();
+        if let Some(drive) = asked.drive {
+            self.drive = samples(&drive, period_s);
+        }
+        let drive = std::mem::take(&mut self.drive);
+        let mut series = vec![Vec::with_capacity(drive.len()); asked.signals.len()];
         let latency = if machine.controller.is_none() { self.latency } else { 0 };
-        around(&machine).run(self, &drive, latency, |_, shown| {
-            for signal in &asked.signals {
-                let values = series.entry(signal.name()).or_insert_with(|| Vec::with_capacity(drive.len()));
+        let ran = around(&machine).run(self, &drive, latency, |_, shown| {
+            for (signal, values) in asked.signals.iter().zip(&mut series) {
                 values.push(shown.get(*signal));
             }
-        })?;
-        Ok(series)
+        });
+        self.drive = drive;
+        ran?;
+        for (signal, values) in asked.signals.iter().zip(&series) {
+            if let Some(tick) = values.iter().position(|value| !value.is_finite()) {
+                let at_s = tick as f64 * period_s;
+                return Err(FmuError::NotANumber { signal: signal.name(), at_s });
+            }
+        }
+        let seen = |values: &Vec<f64>| binned(values.get(asked.warm_up..).unwrap_or_default());
+        Ok(Hosted { error: None, bins: series.iter().map(seen).collect() })
     }
 
     fn shown(&mut self) -> Result<PortOutput, FmuError> {
@@ -374,6 +387,22 @@ impl HostedFmu {
         }
         Ok(output)
     }
+}
+
+/// A drive's ticks, with the load linear between them.
+fn samples(drive: &HostedDrive, period_s: f64) -> Vec<DriveSample> {
+    let ends = drive.load.iter().skip(1).chain(drive.load.last());
+    let ticks = drive.demand.iter().zip(&drive.load).zip(ends).enumerate();
+    ticks
+        .map(|(tick, ((demand_m, load_n), load_end_n))| DriveSample {
+            run: 0,
+            at_s: tick as f64 * period_s,
+            demand_m: *demand_m,
+            load_n: *load_n,
+            load_end_n: *load_end_n,
+            leak_area_m2: 0.0,
+        })
+        .collect()
 }
 
 /// Steps in which an answer is looked for, and the pulse that asks for it.

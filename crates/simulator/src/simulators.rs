@@ -13,6 +13,7 @@ use seepd_gap::record::binned;
 use seepd_gap::simulated_axis::EffectValues;
 use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
+use seepd_sim::effects;
 use seepd_sim::ports::{PortInput, PortLoop, PortOutput, SteppedPlant};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -118,6 +119,8 @@ pub struct Simulators {
 struct Worker {
     child: LineChild,
     time: Duration,
+    /// The drive that the host of an FMU has, by its content.
+    drive: Option<u64>,
 }
 
 impl std::fmt::Debug for Worker {
@@ -179,10 +182,7 @@ impl Simulators {
             return Ok(answer.clone());
         }
         self.begun.fetch_add(1, Ordering::Relaxed);
-        let (result, seconds) = self.simulated(spec, drive, signals);
-        let bins = result.map(|series| -> BinnedSignals {
-            series.iter().map(|values| binned(&values[warm_up..])).collect()
-        });
+        let (bins, seconds) = self.simulated(spec, drive, warm_up, signals);
         let mut counts = locked(&self.counts);
         counts.runs += 1;
         counts.seconds += seconds;
@@ -204,11 +204,12 @@ impl Simulators {
         &self,
         spec: &SimulatorSpec,
         drive: &[DriveSample],
+        warm_up: usize,
         signals: &[Signal],
-    ) -> (Result<Vec<Vec<f64>>, RunError>, f64) {
+    ) -> (Result<BinnedSignals, RunError>, f64) {
         let begin = Instant::now();
         let result = self.worker(spec).and_then(|mut worker| {
-            let result = worker.run(spec, drive, signals);
+            let result = worker.run(spec, drive, warm_up, signals);
             // A process that has ended or hangs is not asked again.
             if !matches!(result, Err(RunError::Child(_) | RunError::NotJson { .. })) {
                 locked(&self.idle).push(worker);
@@ -227,11 +228,11 @@ impl Simulators {
             let own = process.folder.as_ref();
             let folder = own.map_or_else(|| self.folder.clone(), |own| self.folder.join(own));
             let child = LineChild::start(&process.command, &folder, &[])?;
-            return Ok(Worker { child, time });
+            return Ok(Worker { child, time, drive: None });
         }
         let unpacked = self.unpacked(spec)?;
         let child = unpacked.start(spec, time)?;
-        Ok(Worker { child, time })
+        Ok(Worker { child, time, drive: None })
     }
 
     /// The FMU, unpacked once.
@@ -259,10 +260,16 @@ fn content(spec: &SimulatorSpec, drive: &[DriveSample], warm_up: usize, signals:
             (name, value.to_bits()).hash(&mut hasher);
         }
     }
+    (content_of(drive), warm_up, signals).hash(&mut hasher);
+    hasher.finish()
+}
+
+/// A key for a drive.
+fn content_of(drive: &[DriveSample]) -> u64 {
+    let mut hasher = DefaultHasher::new();
     for sample in drive {
         (sample.demand_m.to_bits(), sample.load_n.to_bits()).hash(&mut hasher);
     }
-    (warm_up, signals).hash(&mut hasher);
     hasher.finish()
 }
 
@@ -275,14 +282,22 @@ struct RunMessage<'a> {
     load: Vec<f64>,
 }
 
-/// What the host of an FMU is asked.
+/// What the host of an FMU is asked. It answers with bins: a tenth of the time of a run in C would go into texts of a value a tick.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct HostedRun {
     pub(crate) parameters: BTreeMap<String, f64>,
     pub(crate) with: EffectValues,
+    /// `None`: that of the run before.
+    pub(crate) drive: Option<HostedDrive>,
+    pub(crate) warm_up: usize,
+    pub(crate) signals: Vec<Signal>,
+}
+
+/// A drive, tick by tick.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct HostedDrive {
     pub(crate) demand: Vec<f64>,
     pub(crate) load: Vec<f64>,
-    pub(crate) signals: Vec<Signal>,
 }
 
 /// What a program that goes tick by tick is asked.
@@ -291,6 +306,15 @@ pub(crate) struct HostedRun {
 enum StepMessage<'a> {
     Start { period_s: f64, parameters: HashMap<&'a str, f64>, demand: f64, load: f64 },
     Step { reference: f64, load: f64, dt_s: f64 },
+}
+
+/// What the host of an FMU answers.
+#[derive(Default, Serialize, Deserialize)]
+pub(crate) struct Hosted {
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) error: Option<String>,
+    #[serde(default)]
+    pub(crate) bins: BinnedSignals,
 }
 
 #[derive(Deserialize)]
@@ -313,15 +337,17 @@ impl Worker {
         &mut self,
         spec: &SimulatorSpec,
         drive: &[DriveSample],
+        warm_up: usize,
         signals: &[Signal],
-    ) -> Result<Vec<Vec<f64>>, RunError> {
-        match &spec.process {
+    ) -> Result<BinnedSignals, RunError> {
+        let series = match &spec.process {
             Some(process) if process.exchange == Exchange::Step => {
-                self.tick_by_tick(spec, process, drive, signals)
+                self.tick_by_tick(spec, process, drive, signals)?
             }
-            Some(_) => self.whole_run(spec, drive, signals),
-            None => self.hosted(spec, drive, signals),
-        }
+            Some(_) => self.whole_run(spec, drive, signals)?,
+            None => return self.hosted(spec, drive, warm_up, signals),
+        };
+        Ok(series.iter().map(|values| binned(&values[warm_up..])).collect())
     }
 
     fn asked<T: for<'de> Deserialize<'de>>(&mut self, message: &impl Serialize) -> Result<T, RunError> {
@@ -349,25 +375,32 @@ impl Worker {
         series_of(answer, spec, drive.len(), signals)
     }
 
-    /// The host of an FMU answers as a program does that is asked for a whole run; laws at the ports run in it.
+    /// Laws at the ports run in the host of an FMU, and what is seen of a run comes back in bins.
     fn hosted(
         &mut self,
         spec: &SimulatorSpec,
         drive: &[DriveSample],
+        warm_up: usize,
         signals: &[Signal],
-    ) -> Result<Vec<Vec<f64>>, RunError> {
+    ) -> Result<BinnedSignals, RunError> {
+        let key = content_of(drive);
+        let is_there = self.drive.replace(key) == Some(key);
+        let drive = (!is_there).then(|| HostedDrive {
+            demand: drive.iter().map(|sample| sample.demand_m).collect(),
+            load: drive.iter().map(|sample| sample.load_n).collect(),
+        });
         let message = HostedRun {
             parameters: told(spec).into_iter().map(|(name, value)| (name.to_owned(), value)).collect(),
             with: spec.with.clone(),
-            demand: drive.iter().map(|sample| sample.demand_m).collect(),
-            load: drive.iter().map(|sample| sample.load_n).collect(),
+            drive,
+            warm_up,
             signals: signals.to_vec(),
         };
-        let mut answer: Series = self.asked(&message)?;
-        if let Some(error) = answer.error.take() {
-            return Err(RunError::Hosted(error));
+        let answer: Hosted = self.asked(&message)?;
+        match answer.error {
+            Some(error) => Err(RunError::Hosted(error)),
+            None => Ok(answer.bins),
         }
-        series_of(answer, spec, drive.len(), signals)
     }
 
     fn tick_by_tick(
@@ -418,7 +451,8 @@ fn series_of(
 /// The loop around a simulator, with the laws at its ports.
 pub(crate) fn around(spec: &SimulatorSpec) -> PortLoop {
     PortLoop::new(spec.controller.as_ref(), spec.tick_s(), |effect| {
-        let given = spec.with.get(effect.key());
+        // What is inside does not act at a port as well.
+        let given = spec.with.get(effect.key()).filter(|_| !spec.inside.contains_key(effect.key()));
         let value = |name: &str| given.and_then(|values| values.get(name)).copied();
         effect.parameters().iter().map(|p| value(p.name).unwrap_or(p.neutral)).collect()
     })
@@ -431,7 +465,15 @@ fn told(spec: &SimulatorSpec) -> HashMap<&str, f64> {
         let given = spec.with.get(key).and_then(|values| values.values().next());
         (effect.parameter.as_str(), given.copied().unwrap_or(effect.neutral))
     });
-    calibrated.chain(effects).collect()
+    let inside = spec.inside.iter().filter_map(|(key, variables)| Some((effects::find(key)?, variables)));
+    let inside = inside.flat_map(|(effect, variables)| {
+        let given = spec.with.get(effect.key());
+        effect.parameters().iter().filter_map(move |parameter| {
+            let value = given.and_then(|values| values.get(parameter.name)).copied();
+            Some((variables.get(parameter.name)?.as_str(), value.unwrap_or(parameter.neutral)))
+        })
+    });
+    calibrated.chain(effects).chain(inside).collect()
 }
 
 /// A program that is asked tick by tick.

@@ -39,7 +39,10 @@ pub struct SimulatorSpec {
     /// Effects that are parameters of the simulator.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub effects: BTreeMap<String, OwnEffectSpec>,
-    /// Values of effects at the simulator's ports, and of its own.
+    /// Effects of the catalogue that the simulator has inside: its parameter for each of an effect's.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub inside: BTreeMap<String, BTreeMap<String, String>>,
+    /// Values of effects at the simulator's ports, inside of it, and of its own.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub with: EffectValues,
     /// The controller, where the simulator has none inside.
@@ -159,6 +162,13 @@ pub struct ParameterSpec {
     /// How well it is known: standard deviation of its logarithm, or in its own unit where its bounds are not both positive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigma: Option<f64>,
+    /// A change that is small, in its own unit, for a parameter whose bounds are not both positive; a fifth of what lies between them where none
+    /// is given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<f64>,
+    /// Whether logs hardly tell it: no effect is then called for it, and a calibration leaves it.
+    #[serde(default, skip_serializing_if = "is_not")]
+    pub hardly_told: bool,
     /// Symbol in reports; the name where none is given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub symbol: Option<String>,
@@ -240,11 +250,19 @@ pub enum SimulatorError {
         #[source]
         unknown: UnknownKey,
     },
+    /// A key that is missing.
+    #[error("`{table}` has no `{key}`")]
+    Missing {
+        /// Dotted key of the table.
+        table: String,
+        /// The key.
+        key: &'static str,
+    },
     /// A table or key that is missing, or that does not go with another.
     #[error("{0}")]
     Combination(&'static str),
     /// A parameter that stands twice.
-    #[error("parameter `{0}` is calibrated and an effect of its own: leave it out of [parameters]")]
+    #[error("parameter `{0}` is calibrated and an effect's: leave it out of [parameters]")]
     Twice(String),
     /// TOML cannot express a value.
     #[error("the simulator's file cannot be written as TOML: {0}")]
@@ -331,9 +349,10 @@ impl SimulatorSpec {
         let missing = ports.into_iter().filter(|port| !self.has(*port));
         let at = |port: Port| {
             let keys = effects::ALL.iter().map(|effect| effect.key());
-            (port, keys.filter(|key| port_of(key) == Some(port)).collect())
+            let elsewhere = |key: &&str| port_of(key) == Some(port) && !self.inside.contains_key(*key);
+            (port, keys.filter(elsewhere).collect())
         };
-        missing.map(at).collect()
+        missing.map(at).filter(|(_, effects): &(_, Vec<_>)| !effects.is_empty()).collect()
     }
 
     fn check(&self) -> Result<(), SimulatorError> {
@@ -366,6 +385,7 @@ impl SimulatorSpec {
             ));
         }
         self.check_simulator()?;
+        self.check_inside()?;
         for (name, parameter) in &self.parameters {
             parameter.check(name)?;
         }
@@ -385,6 +405,28 @@ impl SimulatorSpec {
                     table: "with".into(),
                     unknown: UnknownKey::new(name, &known),
                 });
+            }
+        }
+        Ok(())
+    }
+
+    /// Effects inside are the catalogue's, with all of their parameters.
+    fn check_inside(&self) -> Result<(), SimulatorError> {
+        for (name, variables) in &self.inside {
+            let Some(effect) = effects::find(name) else {
+                let known: Vec<&str> = effects::ALL.iter().map(|effect| effect.key()).collect();
+                return Err(SimulatorError::UnknownName {
+                    table: "inside".into(),
+                    unknown: UnknownKey::new(name, &known),
+                });
+            };
+            let known: Vec<&str> = effect.parameters().iter().map(|parameter| parameter.name).collect();
+            known_names(&format!("inside.{name}"), variables.keys(), &known)?;
+            if let Some(missing) = known.iter().find(|parameter| !variables.contains_key(**parameter)) {
+                return Err(SimulatorError::Missing { table: format!("inside.{name}"), key: missing });
+            }
+            if let Some(twice) = variables.values().find(|variable| self.parameters.contains_key(*variable)) {
+                return Err(SimulatorError::Twice(twice.clone()));
             }
         }
         Ok(())
@@ -493,12 +535,12 @@ impl ParameterSpec {
         if !(low..=high).contains(&self.start) {
             return refused("start", self.start, "it must lie within its bounds");
         }
-        match self.sigma {
-            Some(sigma) if !(sigma.is_finite() && sigma > 0.0) => {
-                refused("sigma", sigma, "it must be positive")
+        for (key, value) in [("sigma", self.sigma), ("unit", self.unit)] {
+            if let Some(value) = value.filter(|value| !(value.is_finite() && *value > 0.0)) {
+                return refused(key, value, "it must be positive");
             }
-            _ => Ok(()),
         }
+        Ok(())
     }
 }
 
