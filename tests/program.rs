@@ -15,6 +15,7 @@ mod conditions;
 mod documents;
 mod encodings;
 mod evaluate;
+mod export_fmu;
 mod gap;
 mod gap_fmu;
 mod gap_learned;

@@ -49,6 +49,8 @@ enum Command {
     TestSinks(commands::test_sinks::TestSinksArguments),
     #[cfg(feature = "gap")]
     Gap(commands::gap::GapArguments),
+    #[cfg(feature = "gap")]
+    ExportFmu(commands::export_fmu::ExportFmuArguments),
     #[cfg(feature = "adopt")]
     Adopt(commands::adopt::AdoptArguments),
     #[cfg(feature = "gap")]
@@ -106,6 +108,8 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> 
         Command::TestSinks(arguments) => commands::test_sinks::run(arguments),
         #[cfg(feature = "gap")]
         Command::Gap(arguments) => commands::gap::run(arguments),
+        #[cfg(feature = "gap")]
+        Command::ExportFmu(arguments) => commands::export_fmu::run(arguments),
         #[cfg(feature = "adopt")]
         Command::Adopt(arguments) => commands::adopt::run(arguments),
         #[cfg(feature = "gap")]

@@ -130,10 +130,7 @@ impl Fmu {
     /// # Errors
     /// [`FmuError::NoBinary`], with what there is instead.
     pub fn binary(&self, platform: &str) -> Result<&str, FmuError> {
-        let folder = match self.description.version {
-            Version::Two => folder_of_two(platform),
-            Version::Three => platform,
-        };
+        let folder = folder(self.description.version, platform);
         let start = format!("binaries/{folder}/{}.", self.description.identifier);
         let found = self.files.iter().find(|name| {
             let rest = name.strip_prefix(&start);
@@ -146,13 +143,14 @@ impl Fmu {
     }
 }
 
-/// FMI 2 names platforms by system and width. It has no name for 64-bit ARM; tools that write such FMUs use FMI 3's.
-fn folder_of_two(platform: &str) -> &str {
-    match platform {
-        "x86_64-linux" => "linux64",
-        "x86_64-windows" => "win64",
-        "x86_64-darwin" => "darwin64",
-        other => other,
+/// The folder among an FMU's binaries for a platform that is named as in FMI 3. FMI 2 names platforms by system and width; it has no name for
+/// 64-bit ARM, and tools that write such FMUs use FMI 3's.
+pub fn folder(version: Version, platform: &str) -> &str {
+    match (version, platform) {
+        (Version::Two, "x86_64-linux") => "linux64",
+        (Version::Two, "x86_64-windows") => "win64",
+        (Version::Two, "x86_64-darwin") => "darwin64",
+        (_, other) => other,
     }
 }
 

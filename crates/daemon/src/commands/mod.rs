@@ -13,6 +13,8 @@ pub mod check;
 pub mod demo;
 pub mod evaluate;
 pub mod explain;
+#[cfg(feature = "gap")]
+pub mod export_fmu;
 #[cfg(feature = "study")]
 pub mod fleet;
 #[cfg(feature = "gap")]

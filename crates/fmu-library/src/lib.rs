@@ -1,0 +1,5 @@
+#![doc = include_str!("../README.md")]
+
+mod instance;
+mod three;
+mod two;
