@@ -14,7 +14,7 @@ use seepd_settings::side_file;
 use seepd_signals::Signal;
 use seepd_sim::electric::ElectricAxis;
 use seepd_sim::{DutyCycle, MachineSpec, PlantParameters};
-use seepd_simulator::SimulatorAxis;
+use seepd_simulator::{ParameterSet, SimulatorAxis};
 
 use super::blind::BlindArguments;
 use super::next_test::{self, TestFiles};
@@ -73,6 +73,9 @@ pub struct GapArguments {
     /// Plant file whose duty cycle is the test's
     #[arg(long, value_name = "FILE", requires = "also")]
     test_plant: Option<PathBuf>,
+    /// Write the calibrated parameters and the chosen effects as a parameter set (SSP 1.0, .ssv), which tools that have FMUs read
+    #[arg(long, value_name = "FILE")]
+    emit_ssv: Option<PathBuf>,
     /// Leave this effect out of the catalogue; may be repeated
     #[arg(long, value_name = "EFFECT", value_parser = known_effect)]
     without: Vec<String>,
@@ -135,6 +138,10 @@ pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
     if let Some(emit_plant) = &outputs.emit_plant {
         emit_plant.write(diagnosed.plant_file?)?;
     }
+    if let Some(emit_ssv) = &outputs.emit_ssv {
+        let name = path.file_stem().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        emit_ssv.write(diagnosed.parameter_set.to_ssv(&name))?;
+    }
     write(&outputs, path, diagnosed.plant.as_ref(), &diagnosed.diagnosis)
 }
 
@@ -146,6 +153,8 @@ pub struct Diagnosed {
     pub plant_file: Result<String, Failure>,
     /// The next test.
     pub(crate) test_files: Result<TestFiles, Failure>,
+    /// The same by the names that its FMU has.
+    pub parameter_set: ParameterSet,
     /// Where there is a plant to say how leaks flow.
     pub plant: Option<PlantParameters>,
 }
@@ -210,7 +219,10 @@ fn diagnosed_on<A: PlantFile>(
     diagnosis.notes.extend(notes);
     diagnosis.notes.extend(spec.notes());
     let test_files = next_test::files(&machine, diagnosis.next_test.as_ref());
-    Ok(Diagnosed { diagnosis, plant_file: emitted(machine), test_files, plant: None })
+    let machine = as_new(machine);
+    let parameter_set = machine.parameter_set();
+    diagnosis.notes.extend(parameter_set.additions.iter().cloned());
+    Ok(Diagnosed { diagnosis, plant_file: text_of(&machine), parameter_set, test_files, plant: None })
 }
 
 /// Where a diagnosis goes.
@@ -220,6 +232,7 @@ struct GapOutputs {
     emit_plant: Option<Output>,
     /// Demand and plant file of the next test.
     test: Option<(Output, Output)>,
+    emit_ssv: Option<Output>,
 }
 
 enum JsonOutput {
@@ -247,7 +260,9 @@ impl GapOutputs {
             )),
             None => None,
         };
-        Ok(GapOutputs { json, html, emit_plant: outputs.claim_any(arguments.emit_plant.as_ref())?, test })
+        let emit_plant = outputs.claim_any(arguments.emit_plant.as_ref())?;
+        let emit_ssv = outputs.claim_any(arguments.emit_ssv.as_ref())?;
+        Ok(GapOutputs { json, html, emit_plant, emit_ssv, test })
     }
 }
 
@@ -295,6 +310,8 @@ pub(super) trait PlantFile: SimulatedAxis {
     fn with_cycle(&self, _cycle: &DutyCycle) -> Option<Self> {
         None
     }
+    /// Its values by the names that its FMU has.
+    fn parameter_set(&self) -> ParameterSet;
     /// What there is to say of it after a diagnosis.
     fn notes(&self) -> Vec<String> {
         Vec::new()
@@ -309,6 +326,10 @@ impl PlantFile for MachineSpec {
     fn text(&self) -> Result<String, String> {
         self.with_stable_steps().to_toml().map_err(|error| error.to_string())
     }
+
+    fn parameter_set(&self) -> ParameterSet {
+        ParameterSet::of_press(self)
+    }
 }
 
 impl PlantFile for ElectricAxis {
@@ -319,6 +340,10 @@ impl PlantFile for ElectricAxis {
     fn text(&self) -> Result<String, String> {
         self.to_toml().map_err(|error| error.to_string())
     }
+
+    fn parameter_set(&self) -> ParameterSet {
+        ParameterSet::of_electric_axis(self)
+    }
 }
 
 impl PlantFile for SimulatorAxis {
@@ -326,20 +351,33 @@ impl PlantFile for SimulatorAxis {
         self.spec().to_toml().map_err(|error| error.to_string())
     }
 
+    fn parameter_set(&self) -> ParameterSet {
+        ParameterSet::of_simulator(self.spec())
+    }
+
     fn notes(&self) -> Vec<String> {
         user_simulator::notes(self)
     }
 }
 
-/// The plant file of the machine as diagnosed, as new: without what wear has done to it.
-///
-/// # Errors
-/// [`Failure`] where it cannot be written as TOML.
-pub(super) fn emitted<A: PlantFile>(mut machine: A) -> Result<String, Failure> {
+/// The machine as diagnosed, as new: without what wear has done to it.
+fn as_new<A: PlantFile>(mut machine: A) -> A {
     if let Some(wear) = machine.wear() {
         machine.set_parameter(&wear.key, wear.bounds.0);
     }
+    machine
+}
+
+fn text_of(machine: &impl PlantFile) -> Result<String, Failure> {
     machine.text().map_err(|error| Failure::new(Code::Internal, error))
+}
+
+/// The plant file of the machine as diagnosed, as new.
+///
+/// # Errors
+/// [`Failure`] where it cannot be written as TOML.
+pub(super) fn emitted<A: PlantFile>(machine: A) -> Result<String, Failure> {
+    text_of(&as_new(machine))
 }
 
 fn write(
