@@ -6,9 +6,9 @@ import ctypes
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +18,7 @@ import pytest
 import seepd
 from conftest import run
 from fleet_support import load, many_logs, rows_of, small_logs
-from seepd.fleet import Settings
+from seepd.fleet import Machine, Manifest, Outcome, Settings
 from seepd.fleet import run as fleet_run
 from seepd.fleet.engines import Pool, Serial
 
@@ -82,39 +82,25 @@ def test_two_processes_and_shards_give_the_same(fleet: Path, serial: Path, tmp_p
     assert_same_rows(tmp_path / "shards", serial)
 
 
-def kill_now_and_then(pids: Any, stop: threading.Event, killed: list[int], every_s: float) -> None:
-    choice = random.Random(1)
-    while not stop.wait(every_s):
-        known = pids()
-        if known:
-            victim = choice.choice(known)
-            try:
-                os.kill(victim, signal.SIGKILL)
-                killed.append(victim)
-            except ProcessLookupError:
-                pass
+def run_with_kills(manifest: Path, store: Path, every: int) -> int:
+    """A run of which a worker dies at every so many logs, whichever it is; gives their number."""
+    pool, choice, killed = Pool(2), random.Random(1), []  # type: ignore[var-annotated]
 
+    def kill(outcome: Outcome) -> None:
+        if outcome.counts.total() % every == 0:
+            victim = choice.choice([worker.pid for worker in pool._workers.values()])
+            os.kill(victim, signal.SIGKILL)
+            killed.append(victim)
 
-def run_with_kills(manifest: Path, store: Path, every_s: float) -> int:
-    pool, stop, killed = Pool(2), threading.Event(), []  # type: ignore[var-annotated]
-
-    def pids() -> list[int]:
-        return [worker.pid for worker in list(pool._workers.values()) if worker.pid]
-
-    killer = threading.Thread(target=kill_now_and_then, args=(pids, stop, killed, every_s))
-    killer.start()
     try:
-        fleet_run(load(manifest), Settings(store=str(store)), pool)
+        fleet_run(load(manifest), Settings(store=str(store)), pool, kill)
     finally:
-        stop.set()
-        killer.join()
         pool.close()
     return len(killed)
 
 
 def test_killed_workers_cost_retries_and_no_row(fleet: Path, serial: Path, tmp_path: Path) -> None:
-    # A worker needs a second or two to begin: killed every three it gets on.
-    assert run_with_kills(fleet, tmp_path / "kills", 3.0) >= 1
+    assert run_with_kills(fleet, tmp_path / "kills", 10) == 6
     assert_same_rows(tmp_path / "kills", serial)
 
 
@@ -122,8 +108,7 @@ def test_killed_workers_cost_retries_and_no_row(fleet: Path, serial: Path, tmp_p
 def test_a_thousand_logs_with_kills_and_damage(tmp_path: Path, contents: list[Path]) -> None:
     manifest = many_logs(tmp_path, contents, 1000)
     fleet_run(load(manifest), Settings(store=str(tmp_path / "serial")), Serial())
-    killed = run_with_kills(manifest, tmp_path / "kills", 4.0)
-    assert killed >= 3
+    assert run_with_kills(manifest, tmp_path / "kills", 25) == 40
     assert_same_rows(tmp_path / "kills", tmp_path / "serial")
     assert len(rows_of(tmp_path / "kills")) == 1000
 
@@ -162,9 +147,11 @@ def test_a_lost_unit_is_a_row(fleet: Path, tmp_path: Path) -> None:
     assert manifest.machines
 
 
-def test_a_rerun_does_what_is_new(fleet: Path, contents: list[Path], tmp_path: Path) -> None:
+def test_a_rerun_does_what_is_new(contents: list[Path], tmp_path: Path) -> None:
     store = str(tmp_path / "store")
-    few = load(fleet).shard(2, 12)
+    # Copies: times and contents are changed below.
+    copies = [shutil.copy(content, tmp_path) for content in contents[1:6]]
+    few = Manifest(tuple(Machine(f"m{index}", (str(copy),)) for index, copy in enumerate(copies)))
     first = fleet_run(few, Settings(store=store), Serial())
     assert first.counts["ok"] == 5
     again = fleet_run(few, Settings(store=store), Serial())
