@@ -67,7 +67,7 @@ fn missing_file_is_no_input_and_a_folder_too() {
 fn file_of_another_kind_is_unreadable_data() {
     let folder = tempfile::tempdir().unwrap();
     let (code, text) = replay_refusal(&file(&folder, "noise.bin", [0u8, 159, 146, 150, 1, 2, 3]));
-    assert_eq!((code, text.contains("neither an MCAP log nor a text")), (65, true), "{text}");
+    assert_eq!((code, text.contains("of no kind that is read")), (65, true), "{text}");
     let (code, text) = replay_refusal(&file(&folder, "prose.txt", "Dear reader,\nthis is no log.\n"));
     assert_eq!(
         (

@@ -265,13 +265,6 @@ fn whole_second_stamps_are_refused() {
 }
 
 #[test]
-fn other_formats_are_refused_by_name() {
-    let (code, text) = refusal(&["replay", text_of(&fixture("can/busmaster.log"))]);
-    assert_eq!(code, 65);
-    assert!(text.contains("is a BUSMASTER log, which is not read"), "{text}");
-}
-
-#[test]
 fn a_log_without_its_dbc_and_a_dbc_without_the_signal() {
     let logs = logs();
     let (code, text) = refusal(&["replay", text_of(&logs.candump)]);

@@ -26,9 +26,8 @@ fn mapping() -> Vec<(Signal, SignalMapping)> {
         topic: "/plc".into(),
         field: field.into(),
         scale,
-        offset: 0.0,
         time: "stamp".into(),
-        bits: None,
+        ..SignalMapping::default()
     };
     vec![(Signal::Command, of("valve.percent", 0.01)), (Signal::PCap, of("pressures[1]", 1e5))]
 }
@@ -297,8 +296,11 @@ fn every_log_of_others_is_read_or_refused_with_what_it_holds() {
     for (name, topics) in python_read() {
         let path = fixture("mcap").join(&name);
         // The synthetic logs have a command; nothing else here is an axis.
-        let selection =
-            Selection { topic: Some("/axis/sample".into()), command: Some("valve_command".into()) };
+        let selection = Selection {
+            topic: Some("/axis/sample".into()),
+            command: Some("valve_command".into()),
+            ..Selection::default()
+        };
         let mapping = LogMapping { selection, ..LogMapping::default() };
         let mut source = seepd_logs::open(&path, &mapping).unwrap();
         let mut samples = 0;

@@ -678,9 +678,10 @@ fn a_text_comes_through_a_fifo_and_an_mcap_log_is_refused() {
     let lines = crate::support::stdout(&output);
     assert_eq!(lines.lines().count(), 2, "{lines}");
     assert!(crate::support::stdout(&fed(text, &["inspect", path])).contains("[signals.command]"));
+    // MCAP comes through a pipe as well; this one has no message.
     let output = fed(log("json", ("a", "jsonschema", b""), &[]), &["replay", path]);
     assert_eq!(output.status.code(), Some(65));
-    assert!(stderr(&output).contains("MCAP is not read from a pipe"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("no message has"), "{}", stderr(&output));
 }
 
 #[test]

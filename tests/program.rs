@@ -21,6 +21,7 @@ mod gap_fmu;
 mod gap_learned;
 mod gap_next_test;
 mod gap_simulator;
+mod log_formats;
 mod models;
 mod quality;
 mod reports;

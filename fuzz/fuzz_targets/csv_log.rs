@@ -3,7 +3,7 @@
 use seepd_logs::{CsvSource, LogMapping, Source};
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
-    let Ok(mut source) = CsvSource::new(data, "log", &LogMapping::default().places(), "t_s", None) else { return };
+    let Ok(mut source) = CsvSource::new(data, "log", &LogMapping::default()) else { return };
     while let Ok(Some(_)) = source.next_sample() {}
     let _ = source.notes();
 });

@@ -84,7 +84,7 @@ impl From<LogError> for Failure {
     fn from(error: LogError) -> Self {
         let code = match &error {
             LogError::Reading { error, .. } => Code::of_reading(error),
-            LogError::Folder { .. } => Code::NoInput,
+            LogError::NoLogs { .. } => Code::NoInput,
             LogError::Dbc { .. } | LogError::Mapping { .. } => Code::Configuration,
             _ => Code::Data,
         };

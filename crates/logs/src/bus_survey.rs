@@ -146,7 +146,7 @@ impl IdentifierSurvey {
             match signal.read(frame) {
                 Reading::Value(value) => self.topic.take_field(&signal.name, value),
                 Reading::TooShort => self.topic.unreadable += 1,
-                Reading::Absent => {}
+                Reading::Absent | Reading::NotAvailable => {}
             }
         }
     }
@@ -212,7 +212,15 @@ impl RawField {
             Identifier::Extended(id) => (id, Some(true)),
         };
         let (start, length) = (self.start, FIELD_BITS);
-        let bits = BitsMapping { id, extended, start, length, order: self.order, encoding: Encoding::Signed };
+        let bits = BitsMapping {
+            id,
+            pgn: None,
+            extended,
+            start,
+            length,
+            order: self.order,
+            encoding: Encoding::Signed,
+        };
         let largest = self.largest.max(-self.least);
         // Full command is usual as 1000, 10000 or all of the 16 bits.
         let full = [1000.0, 10_000.0, 32_767.0].into_iter().find(|full| largest <= 1.05 * full);

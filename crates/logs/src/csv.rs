@@ -1,81 +1,99 @@
-//! Samples from a CSV text with a header row and a time column; commas, semicolons or tabs divide.
+//! Samples from a table as text: commas, semicolons or tabs divide; the time stands in a column, or follows from a rate.
 
+use std::collections::VecDeque;
 use std::io::Read;
 
 use seepd_signals::{Sample, Signal};
 
 use super::Source;
-use super::rows::{Row, Rows};
+use super::rows::Row;
+use super::table::{Table, number};
+use super::table_time::{TablePlace, TableTime};
 use crate::error::LogError;
-use crate::mapping::{SignalMapping, TimeUnit};
+use crate::mapping::{LogMapping, ToSi};
 
 /// Columns that an error lists.
 const COLUMNS_TOLD: usize = 32;
+/// Samples of a log's beginning that tell whether its stamps are coarser than its rows.
+const BEGINNING: usize = 16;
+/// Of these, how many have the stamp of the row before where they are.
+const SHARED: usize = 4;
+/// Rows with one stamp that are held until the next stamp tells how far they reach.
+const MOST_WITH_ONE_STAMP: usize = 1 << 16;
 
 /// A signal's column.
 struct Column {
     index: usize,
     signal: Signal,
-    scale: f64,
-    offset: f64,
+    to_si: ToSi,
 }
 
-/// The columns that are read.
-struct Columns {
-    time_index: usize,
-    time_unit: TimeUnit,
-    signals: Vec<Column>,
-}
-
-/// Samples from a CSV with a header row.
+/// Samples from a table.
 pub struct CsvSource<R> {
     name: String,
-    rows: Rows<R>,
-    columns: Columns,
+    table: Table<R>,
+    time: TableTime,
+    signals: Vec<Column>,
+    held: Held,
     given: u64,
     unreadable: u64,
     first_unreadable: Option<String>,
 }
 
+/// Samples that wait for what follows them.
+#[derive(Default)]
+struct Held {
+    /// Ready to be given.
+    ready: VecDeque<Sample>,
+    /// Those that share the newest stamp.
+    sharing: Vec<Sample>,
+    /// Whether stamps are coarser than rows; unknown at the beginning.
+    coarse: Option<bool>,
+    /// Rows that were moved off the stamp that they share with others.
+    spread: u64,
+}
+
 impl<R: Read> CsvSource<R> {
-    /// Reads the header row. Without a unit the time column's name tells it.
+    /// Finds the rows, and the columns of the mapping. Without a unit the time column's name tells it.
     ///
     /// # Errors
-    /// [`LogError`] where the header names no time or no command; it lists what there is.
-    pub fn new(
-        input: R,
-        name: &str,
-        mapping: &[(Signal, SignalMapping)],
-        time_column: &str,
-        time_unit: Option<TimeUnit>,
-    ) -> Result<Self, LogError> {
-        let (rows, headers) = Rows::new(input).map_err(|what| LogError::data(name, what))?;
-        let find = |wanted: &str| headers.iter().position(|header| header == wanted);
-        let signals: Vec<Column> = mapping
+    /// [`LogError`] where there is no column for the time or the command; it lists what there is.
+    pub fn new(input: R, name: &str, mapping: &LogMapping) -> Result<Self, LogError> {
+        let places = mapping.places();
+        let names: Vec<&str> =
+            places.iter().map(|(_, place)| &*place.field).chain([&*mapping.time_column]).collect();
+        let table = Table::new(input, &names).map_err(|what| LogError::data(name, what))?;
+        let signals: Vec<Column> = places
             .iter()
-            .filter_map(|(signal, m)| {
-                Some(Column { index: find(&m.field)?, signal: *signal, scale: m.scale, offset: m.offset })
+            .filter_map(|(signal, place)| {
+                let index = table.column(&place.field)?;
+                Some(Column { index, signal: *signal, to_si: place.to_si(*signal, "") })
             })
             .collect();
-        let command = mapping.iter().find(|(signal, _)| *signal == Signal::Command);
+        let command = places.iter().find(|(signal, _)| *signal == Signal::Command);
         let command = command.map_or("command", |(_, mapping)| &mapping.field);
-        let time_index = find(time_column);
+        let time = TablePlace::of(&table, mapping);
         let mut missing = Vec::new();
-        if time_index.is_none() {
-            missing.push(format!("`{time_column}` for the time"));
+        if time.is_none() {
+            missing.push(format!("`{}` for the time", mapping.time_column));
         }
         if !signals.iter().any(|column| column.signal == Signal::Command) {
             missing.push(format!("`{command}` for the command"));
         }
-        let (Some(time_index), true) = (time_index, missing.is_empty()) else {
+        let (Some(time), true) = (time, missing.is_empty()) else {
             let what = missing.join(" and no column ");
-            return Err(LogError::data(name, format!("no column {what}; there are: {}", listed(&headers))));
+            let named = if table.has_names { "there are" } else { "its columns have no names but numbers" };
+            return Err(LogError::data(
+                name,
+                format!("no column {what}; {named}: {}", listed(&table.columns)),
+            ));
         };
-        let time_unit = time_unit.unwrap_or_else(|| TimeUnit::of_column(time_column));
         Ok(CsvSource {
             name: name.into(),
-            rows,
-            columns: Columns { time_index, time_unit, signals },
+            table,
+            time: TableTime::new(time),
+            signals,
+            held: Held::default(),
             given: 0,
             unreadable: 0,
             first_unreadable: None,
@@ -92,9 +110,99 @@ impl<R: Read> CsvSource<R> {
         };
         LogError::data(&self.name, what)
     }
+
+    /// Reads a row, which completes what is held or is held itself; `false` at the end.
+    fn read_row(&mut self) -> Result<bool, LogError> {
+        let row = self.table.next().map_err(|error| LogError::reading(&self.name, error))?;
+        let Some(row) = row else {
+            self.held.end();
+            return Ok(false);
+        };
+        let sample = row.map_err(str::to_owned).and_then(|row| sample_of(row, &mut self.time, &self.signals));
+        match sample {
+            Ok(sample) => self.held.take(sample),
+            Err(what) => {
+                self.unreadable += 1;
+                let line = self.table.line_number();
+                self.first_unreadable.get_or_insert_with(|| format!("line {line}: {what}"));
+            }
+        }
+        Ok(true)
+    }
 }
 
-fn listed(headers: &[String]) -> String {
+impl Held {
+    fn take(&mut self, sample: Sample) {
+        match self.coarse {
+            Some(false) => self.ready.push_back(sample),
+            Some(true) => self.share(sample),
+            None => {
+                self.sharing.push(sample);
+                if self.sharing.len() == BEGINNING {
+                    self.decide();
+                }
+            }
+        }
+    }
+
+    /// Tells by the beginning whether several rows share a stamp as a rule.
+    fn decide(&mut self) {
+        let shared = self.sharing.windows(2).filter(|pair| pair[0].time_ns == pair[1].time_ns).count();
+        self.coarse = Some(shared >= SHARED);
+        for sample in std::mem::take(&mut self.sharing) {
+            self.take(sample);
+        }
+    }
+
+    /// Holds a sample until the next stamp; spreads those that share one over the time up to it.
+    fn share(&mut self, sample: Sample) {
+        if let Some(first) = self.sharing.first()
+            && (first.time_ns != sample.time_ns || self.sharing.len() >= MOST_WITH_ONE_STAMP)
+        {
+            let count = self.sharing.len() as i64;
+            let reach_ns = sample.time_ns.saturating_sub(first.time_ns).max(0);
+            self.spread += self.sharing.len() as u64 - 1;
+            for (place, mut held) in self.sharing.drain(..).enumerate() {
+                held.time_ns = held.time_ns.saturating_add(reach_ns / count * place as i64);
+                self.ready.push_back(held);
+            }
+        }
+        self.sharing.push(sample);
+    }
+
+    fn end(&mut self) {
+        if self.coarse.is_none() {
+            self.decide();
+        }
+        self.ready.extend(self.sharing.drain(..));
+    }
+}
+
+fn sample_of(row: &Row, time: &mut TableTime, signals: &[Column]) -> Result<Sample, String> {
+    let mut sample = Sample::new(time.of_row(row)?);
+    for column in signals {
+        let value = value_of(row, column.index)?;
+        if column.signal == Signal::Command || !value.is_nan() {
+            sample.set(column.signal, column.to_si.of(value));
+        }
+    }
+    Ok(sample)
+}
+
+fn value_of(row: &Row, index: usize) -> Result<f64, String> {
+    let field = row.field(index).ok_or_else(|| format!("column {} is missing", index + 1))?;
+    if field.is_empty() {
+        return Ok(f64::NAN);
+    }
+    let text = std::str::from_utf8(field).map_err(|_| format!("column {} is not text", index + 1))?;
+    number(field).ok_or_else(|| {
+        let begin: String = text.chars().take(40).collect();
+        format!("`{begin}` is not a number")
+    })
+}
+
+/// The columns' names, as many as one line holds.
+pub(crate) fn listed(headers: &[String]) -> String {
     let mut text = headers.iter().take(COLUMNS_TOLD).map(String::as_str).collect::<Vec<_>>().join(", ");
     if headers.len() > COLUMNS_TOLD {
         text += &format!(" and {} more", headers.len() - COLUMNS_TOLD);
@@ -102,54 +210,15 @@ fn listed(headers: &[String]) -> String {
     text
 }
 
-impl Columns {
-    fn sample(&self, row: &Row) -> Result<Sample, String> {
-        let time = number(row, self.time_index)?;
-        if !time.is_finite() {
-            return Err("the time is missing".into());
-        }
-        let mut sample = Sample::new((time * self.time_unit.nanoseconds()).round() as i64);
-        for column in &self.signals {
-            let value = number(row, column.index)?;
-            if column.signal == Signal::Command || !value.is_nan() {
-                sample.set(column.signal, value * column.scale + column.offset);
-            }
-        }
-        Ok(sample)
-    }
-}
-
-fn number(row: &Row, index: usize) -> Result<f64, String> {
-    let field = row.field(index).ok_or_else(|| format!("column {} is missing", index + 1))?;
-    if field.is_empty() {
-        return Ok(f64::NAN);
-    }
-    let text = std::str::from_utf8(field).map_err(|_| format!("column {} is not text", index + 1))?;
-    text.parse().map_err(|_| {
-        let begin: String = text.chars().take(40).collect();
-        format!("`{begin}` is not a number")
-    })
-}
-
 impl<R: Read> Source for CsvSource<R> {
     fn next_sample(&mut self) -> Result<Option<Sample>, LogError> {
         loop {
-            let row = self.rows.next().map_err(|error| LogError::reading(&self.name, error))?;
-            let sample = match row {
-                None if self.given == 0 => return Err(self.nothing_usable()),
-                None => return Ok(None),
-                Some(row) => row.map_err(str::to_owned).and_then(|row| self.columns.sample(row)),
-            };
-            match sample {
-                Ok(sample) => {
-                    self.given += 1;
-                    return Ok(Some(sample));
-                }
-                Err(what) => {
-                    self.unreadable += 1;
-                    let line = self.rows.line_number();
-                    self.first_unreadable.get_or_insert_with(|| format!("line {line}: {what}"));
-                }
+            if let Some(sample) = self.held.ready.pop_front() {
+                self.given += 1;
+                return Ok(Some(sample));
+            }
+            if !self.read_row()? && self.held.ready.is_empty() {
+                return if self.given == 0 { Err(self.nothing_usable()) } else { Ok(None) };
             }
         }
     }
@@ -158,6 +227,12 @@ impl<R: Read> Source for CsvSource<R> {
         let first = self.first_unreadable.as_deref().unwrap_or_default();
         let unreadable = (self.unreadable > 0)
             .then(|| format!("{}: {} rows were left out, the first at {first}", self.name, self.unreadable));
-        unreadable.into_iter().collect()
+        let spread = (self.held.spread > 0).then(|| {
+            format!(
+                "{}: its time stamps are coarser than its rows; {} rows were put evenly between the stamps",
+                self.name, self.held.spread
+            )
+        });
+        unreadable.into_iter().chain(spread).collect()
     }
 }

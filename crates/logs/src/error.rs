@@ -15,10 +15,10 @@ pub enum LogError {
         #[source]
         error: io::Error,
     },
-    /// A folder stands where a log must be named.
-    #[error("{name}: this is a folder; name a log file")]
-    Folder {
-        /// Folder.
+    /// A folder has no log, or nothing fits a pattern.
+    #[error("{name}: there is no log of that name or in that folder")]
+    NoLogs {
+        /// Folder or pattern.
         name: String,
     },
     /// It is no log of a kind that is read, or nothing in it can be used.

@@ -5,7 +5,7 @@
 
 use seepd_signals::Signal;
 
-use crate::mapping::SignalMapping;
+use crate::mapping::{SignalMapping, ToSi};
 
 /// Parts of a field path that are followed; real ones have five or so.
 pub(crate) const DEEPEST: usize = 32;
@@ -51,8 +51,8 @@ pub(crate) trait FieldVisitor {
 /// What a field is for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Target {
-    /// A signal, with scale and offset to SI.
-    Signal { signal: Signal, scale: f64, offset: f64 },
+    /// A signal, with its way to SI.
+    Signal { signal: Signal, to_si: ToSi },
     /// The time in seconds, or a stamp's seconds.
     Seconds,
     /// A stamp's nanoseconds.
@@ -116,8 +116,8 @@ impl FieldTree {
         let mut timed: Option<(Signal, &str)> = None;
         for (signal, mapping) in mappings {
             let key = format!("signals.{}", signal.name());
-            let (scale, offset) = (mapping.scale, mapping.offset);
-            tree.add(&format!("{key}.field"), &mapping.field, Target::Signal { signal, scale, offset })?;
+            let to_si = mapping.to_si(signal, "");
+            tree.add(&format!("{key}.field"), &mapping.field, Target::Signal { signal, to_si })?;
             if mapping.time.is_empty() {
                 continue;
             }
@@ -214,8 +214,8 @@ impl FieldVisitor for Picker<'_> {
     fn number(&mut self, value: f64) -> Result<(), String> {
         for target in &self.path[self.depth].targets {
             match target {
-                Target::Signal { signal, scale, offset } => {
-                    self.picked.values.push((*signal, value * scale + offset));
+                Target::Signal { signal, to_si } => {
+                    self.picked.values.push((*signal, to_si.of(value)));
                 }
                 _ if !value.is_finite() => return Err("the time is not a number".into()),
                 Target::Seconds => self.picked.seconds_ns = Some((value * 1e9).round() as i64),

@@ -2,7 +2,10 @@
 
 use crate::decode::Decoder;
 use crate::fields::{FieldVisitor, Step};
+use crate::mapping::{LogMapping, Selection};
 use crate::mcap_file::SchemaRecord;
+use crate::opened::{Bytes, Opened, Origin};
+use crate::source::of_opened;
 
 /// Goes wherever there is something in a message, and counts.
 #[derive(Debug, Default)]
@@ -32,6 +35,23 @@ impl FieldVisitor for Walk {
 
     fn text(&mut self, _text: &str) -> Result<(), String> {
         Ok(())
+    }
+}
+
+/// Reads a log of any kind by its bytes, with a command of that name.
+pub fn read_log(log: &[u8], command: &str) {
+    let Ok(opened) = Opened::of(
+        Bytes::Stream(Box::new(log)),
+        "log",
+        Origin { path: None, length: Some(log.len() as u64) },
+    ) else {
+        return;
+    };
+    let selection = Selection { command: Some(command.into()), ..Selection::default() };
+    let mapping = LogMapping { selection, ..LogMapping::default() };
+    if let Ok(mut source) = of_opened(opened, "log", &mapping) {
+        while let Ok(Some(_)) = source.next_sample() {}
+        let _ = source.notes();
     }
 }
 

@@ -1,14 +1,18 @@
 #![doc = include_str!("../README.md")]
+#[cfg(feature = "bags")]
+mod bag;
+mod bus_log;
 mod bus_survey;
 pub mod can;
-mod candump;
 mod channels;
+mod civil;
 pub mod columns;
 mod counted;
 mod csv;
 mod decode;
 mod error;
 mod fields;
+mod forward;
 #[doc(hidden)]
 pub mod fuzzing;
 mod guess;
@@ -20,16 +24,25 @@ mod mapping;
 mod mcap;
 mod mcap_chunk;
 mod mcap_file;
+mod mdf;
+mod opened;
 mod protobuf;
 mod protobuf_wire;
 pub mod record;
+mod record_log;
 mod ros;
 mod rows;
+mod series;
 mod source;
 pub mod survey;
+mod table;
+mod table_time;
+mod unit;
+mod window;
+mod wrapping;
 
+pub use bus_log::BusLogSource;
 pub use bus_survey::BusSurvey;
-pub use candump::CandumpSource;
 pub use counted::CountedReader;
 pub use csv::CsvSource;
 pub use error::LogError;
@@ -38,4 +51,5 @@ pub use mapping::{
     BitsMapping, CounterMapping, LogMapping, Selection, SignalMapping, TimeUnit, check_signals, identifier,
 };
 pub use mcap::McapSource;
-pub use source::{Source, frame_decoder, open, open_with};
+pub use series::{bytes_of, logs_of};
+pub use source::{Source, frame_decoder, frames, open, open_with};

@@ -8,8 +8,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::can::Identifier;
 use crate::can::bit_field::{ByteOrder, Encoding};
+use crate::can::j1939::SourceAddress;
 use crate::error::LogError;
 use crate::fields::FieldTree;
+use crate::unit::{factor, listed};
 
 /// How a log's content becomes samples.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,6 +24,8 @@ pub struct LogMapping {
     pub time_column: String,
     /// Unit of that column; absent: what its name ends in, such as `time_ms`, else seconds.
     pub time_unit: Option<TimeUnit>,
+    /// Rows a second of a CSV file without a time column.
+    pub sample_rate_hz: Option<f64>,
     /// DBC file that describes a CAN log's frames.
     pub dbc: Option<PathBuf>,
     /// Counter of the command's frame, by which lost frames are told.
@@ -36,6 +40,7 @@ impl Default for LogMapping {
             selection: Selection::default(),
             time_column: "t_s".into(),
             time_unit: None,
+            sample_rate_hz: None,
             dbc: None,
             counter: None,
         }
@@ -57,11 +62,25 @@ impl LogMapping {
             if let Some(topic) = &self.selection.topic {
                 mapping.topic.clone_from(topic);
             }
-            if let Some(field) = self.selection.command.as_ref().filter(|_| *signal == Signal::Command) {
-                mapping.field.clone_from(field);
+            if *signal == Signal::Command {
+                self.selection.apply(mapping);
             }
         }
         places
+    }
+}
+
+impl Selection {
+    fn apply(&self, command: &mut SignalMapping) {
+        if let Some(field) = &self.command {
+            command.field.clone_from(field);
+        }
+        if let Some(scale) = self.scale {
+            command.scale = scale;
+            // What a person says of a factor counts alone.
+            command.unit = "1".into();
+        }
+        command.invert ^= self.invert;
     }
 }
 
@@ -78,6 +97,12 @@ pub fn check_signals(signals: &BTreeMap<Signal, SignalMapping>) -> Result<(), Lo
                 "signals.{name}: scale must be finite and not 0, and offset must be finite"
             )));
         }
+        if !mapping.unit.is_empty() && factor(*signal, &mapping.unit).is_none() {
+            let (name, unit, known) = (signal.name(), &mapping.unit, listed(*signal));
+            return Err(LogError::mapping(format!(
+                "signals.{name}: the unit `{unit}` is none of {known}; leave it out and give scale and offset"
+            )));
+        }
     }
     for mapping in signals.values() {
         let of_topic = signals.iter().filter(|(_, other)| other.topic == mapping.topic);
@@ -92,12 +117,16 @@ pub fn check_signals(signals: &BTreeMap<Signal, SignalMapping>) -> Result<(), Lo
 }
 
 /// What a user says of where the signals are beside the mapping; it goes before it.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Selection {
     /// Topic of all signals.
     pub topic: Option<String>,
     /// Field of the command.
     pub command: Option<String>,
+    /// Factor of the command.
+    pub scale: Option<f64>,
+    /// Turns the command's sign.
+    pub invert: bool,
 }
 
 /// Where a signal is and how it becomes SI: value · scale + offset.
@@ -117,8 +146,15 @@ pub struct SignalMapping {
     /// Path of a field with the time in seconds, or of a stamp with seconds and nanoseconds; empty: the message's log
     /// time.
     pub time: String,
+    /// Unit of the field, such as `%`, `bar` or `mm`, which is made SI before `scale`; empty: where neither scale nor offset are given, what
+    /// the DBC file or the MDF log says, else SI. `1` takes a command as it is.
+    pub unit: String,
+    /// Turns the sign: where a positive command retracts, a positive force pulls.
+    pub invert: bool,
     /// Where the field is in a CAN frame, where no DBC file says so.
     pub bits: Option<BitsMapping>,
+    /// Takes the frames of a J1939 parameter group from an address, or from any (`*`), whatever their priority.
+    pub source_address: Option<SourceAddress>,
 }
 
 impl Default for SignalMapping {
@@ -129,7 +165,10 @@ impl Default for SignalMapping {
             scale: 1.0,
             offset: 0.0,
             time: String::new(),
+            unit: String::new(),
+            invert: false,
             bits: None,
+            source_address: None,
         }
     }
 }
@@ -139,6 +178,32 @@ impl SignalMapping {
     pub fn may_be_missing(&self, signal: Signal) -> bool {
         signal != Signal::Command && self.field == signal.name()
     }
+
+    /// The way to SI of a signal whose description says that it is in a unit.
+    pub fn to_si(&self, signal: Signal, described: &str) -> ToSi {
+        let by_description = self.scale == 1.0 && self.offset == 0.0;
+        let unit = if self.unit.is_empty() && by_description { described } else { &self.unit };
+        let factor = factor(signal, unit).unwrap_or(1.0);
+        let sign = if self.invert { -1.0 } else { 1.0 };
+        ToSi { scale: sign * factor * self.scale, offset: sign * self.offset }
+    }
+}
+
+/// The way from a field's value to SI: value · scale + offset.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ToSi {
+    /// Factor.
+    pub scale: f64,
+    /// Added after the factor.
+    pub offset: f64,
+}
+
+impl ToSi {
+    /// A value in SI.
+    #[inline]
+    pub fn of(self, value: f64) -> f64 {
+        value * self.scale + self.offset
+    }
 }
 
 /// Where a field is in a CAN frame, where no DBC file says so.
@@ -146,7 +211,11 @@ impl SignalMapping {
 #[serde(deny_unknown_fields)]
 pub struct BitsMapping {
     /// Identifier of the frame.
+    #[serde(default)]
     pub id: u32,
+    /// Number of its J1939 parameter group instead; `source_address` of the signal says whose.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pgn: Option<u32>,
     /// Whether the identifier has 29 bits; absent: where it does not fit 11.
     pub extended: Option<bool>,
     /// First bit: 8 b + i is bit i of byte b, 0 being a byte's lowest; in big-endian fields the highest bit's.
@@ -175,8 +244,9 @@ impl BitsMapping {
             Encoding::Float32 => "float32",
             Encoding::Float64 => "float64",
         };
+        let pgn = self.pgn.map_or(String::new(), |pgn| format!("pgn = {pgn}, "));
         format!(
-            "{{ id = {:#x}, {extended}start = {}, length = {}, order = \"{order}\", encoding = \"{encoding}\" }}",
+            "{{ {pgn}id = {:#x}, {extended}start = {}, length = {}, order = \"{order}\", encoding = \"{encoding}\" }}",
             self.id, self.start, self.length
         )
     }

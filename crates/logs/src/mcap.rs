@@ -11,14 +11,15 @@ use super::fields::Picked;
 use super::mcap_file::McapFile;
 use crate::error::LogError;
 use crate::mapping::SignalMapping;
+use crate::record_log::RecordLog;
 
 /// Message header: channel, sequence, log time, publish time.
 pub(crate) const MESSAGE_HEADER_BYTES: usize = 2 + 4 + 8 + 8;
 
 /// Samples from an MCAP log: JSON, protobuf or CDR messages, one signal a message or many.
-pub struct McapSource<R> {
+pub struct McapSource<'i> {
     name: String,
-    file: McapFile<R>,
+    file: Box<dyn RecordLog + Send + 'i>,
     channels: Channels,
     picked: Picked,
     /// The record at hand.
@@ -52,16 +53,29 @@ impl LeftOut {
     }
 }
 
-impl<R: Read + Seek> McapSource<R> {
+impl<'i> McapSource<'i> {
     /// Reads the magic bytes.
     ///
     /// # Errors
     /// [`LogError`] where the file cannot be read or is no MCAP file.
-    pub fn new(file: R, name: &str, mapping: Vec<(Signal, SignalMapping)>) -> Result<Self, LogError> {
-        let file = McapFile::new(file).map_err(|error| {
+    pub fn new<R: Read + Seek + Send + 'i>(
+        file: R,
+        name: &str,
+        mapping: Vec<(Signal, SignalMapping)>,
+    ) -> Result<Self, LogError> {
+        let file = McapFile::whole(file).map_err(|error| {
             LogError::data(name, format!("this is not an MCAP log, or it is cut short: {error}"))
         })?;
-        Ok(McapSource {
+        Ok(Self::of(Box::new(file), name, mapping))
+    }
+
+    /// Reads the records of a log.
+    pub(crate) fn of(
+        file: Box<dyn RecordLog + Send + 'i>,
+        name: &str,
+        mapping: Vec<(Signal, SignalMapping)>,
+    ) -> Self {
+        McapSource {
             name: name.into(),
             file,
             channels: Channels::new(name, mapping),
@@ -72,12 +86,12 @@ impl<R: Read + Seek> McapSource<R> {
             without_command: LeftOut::default(),
             given: 0,
             summary_asked: false,
-        })
+        }
     }
 
     /// The error for a log in which nothing matched.
     fn nothing_matched(&self) -> LogError {
-        let why: Vec<String> = self.file.damage.notes().into_iter().chain(self.left_out()).collect();
+        let why: Vec<String> = self.file.notes().into_iter().chain(self.left_out()).collect();
         let why = if why.is_empty() { String::new() } else { format!(" ({})", why.join("; ")) };
         let (wanted, listed) = (self.channels.wanted(), self.channels.listed());
         LogError::data(&self.name, format!("no message has {wanted}; the log has {listed}{why}"))
@@ -98,7 +112,7 @@ impl<R: Read + Seek> McapSource<R> {
         self.summary_asked = true;
         let mut result = Ok(());
         let channels = &mut self.channels;
-        let read = self.file.each_in_summary(|opcode, content| {
+        let read = self.file.each_in_summary(&mut |opcode, content| {
             if result.is_ok() {
                 result = channels.take_announcement(opcode, content);
             }
@@ -144,7 +158,7 @@ pub(crate) fn log_time_ns(message: &[u8]) -> i64 {
     i64::try_from(stamp).unwrap_or(i64::MAX)
 }
 
-impl<R: Read + Seek> Source for McapSource<R> {
+impl Source for McapSource<'_> {
     fn next_sample(&mut self) -> Result<Option<Sample>, LogError> {
         loop {
             match self.file.next_record(&mut self.record) {
@@ -165,7 +179,7 @@ impl<R: Read + Seek> Source for McapSource<R> {
     }
 
     fn notes(&self) -> Vec<String> {
-        let damage = self.file.damage.notes().into_iter();
+        let damage = self.file.notes().into_iter();
         let notes = damage.chain(self.channels.note()).chain(self.left_out());
         notes.map(|note| format!("{}: {note}", self.name)).collect()
     }

@@ -11,11 +11,12 @@ use mcap::records::op;
 
 use super::kind::MCAP_MAGIC;
 use super::mcap_chunk::Chunk;
+use crate::record_log::RecordLog;
 
 /// Longest chunk that is believed, bytes as it is packed: they are a few MiB; a flipped bit in a length says petabytes.
 const LONGEST_CHUNK: u64 = 32 << 20;
 /// Longest other record that is held, bytes; longer ones are pictures and attachments, and passed over.
-pub(super) const LONGEST_RECORD: u64 = 8 << 20;
+pub(crate) const LONGEST_RECORD: u64 = 8 << 20;
 /// Opcode and length before each record.
 pub(super) const PREFIX_BYTES: u64 = 9;
 
@@ -69,7 +70,9 @@ impl Damage {
 /// Walks through a file's records, those within chunks included.
 pub(crate) struct McapFile<R> {
     input: BufReader<R>,
+    /// Bytes in all; of a stream as many as there can be, until its end is found.
     length: u64,
+    is_stream: bool,
     at: u64,
     chunk: Option<Chunk>,
     /// Memory for a chunk's records, kept from chunk to chunk.
@@ -80,13 +83,11 @@ pub(crate) struct McapFile<R> {
 }
 
 impl<R: Read + Seek> McapFile<R> {
-    /// Starts after the magic bytes.
+    /// Starts after the magic bytes of a file of a length; that of a stream is not known before its end.
     ///
     /// # Errors
     /// The input cannot be read, is shorter than the magic bytes, or has others.
-    pub(crate) fn new(mut input: R) -> io::Result<Self> {
-        let length = input.seek(SeekFrom::End(0))?;
-        input.seek(SeekFrom::Start(0))?;
+    pub(crate) fn new(input: R, length: Option<u64>) -> io::Result<Self> {
         let mut input = BufReader::with_capacity(1 << 16, input);
         let mut magic = [0; 8];
         input.read_exact(&mut magic)?;
@@ -98,7 +99,8 @@ impl<R: Read + Seek> McapFile<R> {
         }
         Ok(McapFile {
             input,
-            length,
+            length: length.unwrap_or(u64::MAX),
+            is_stream: length.is_none(),
             at: 8,
             chunk: None,
             held: Vec::new(),
@@ -107,12 +109,22 @@ impl<R: Read + Seek> McapFile<R> {
         })
     }
 
+    /// Starts after the magic bytes of what can be read from any place.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub(crate) fn whole(mut input: R) -> io::Result<Self> {
+        let length = input.seek(SeekFrom::End(0))?;
+        input.seek(SeekFrom::Start(0))?;
+        Self::new(input, Some(length))
+    }
+
     /// Puts the next record's content into `record` and gives its opcode; `None` after the data section, or where
     /// the file ends.
     ///
     /// # Errors
     /// Reading failed; damages are no error.
-    pub(crate) fn next_record(&mut self, record: &mut Vec<u8>) -> io::Result<Option<u8>> {
+    fn next(&mut self, record: &mut Vec<u8>) -> io::Result<Option<u8>> {
         loop {
             if let Some(chunk) = &mut self.chunk {
                 match chunk.next_record(record, &mut self.damage) {
@@ -140,7 +152,7 @@ impl<R: Read + Seek> McapFile<R> {
         }
         let known = (op::HEADER..=op::DATA_END).contains(&opcode) || opcode >= 0x80;
         let there = length.min(self.length - self.at - PREFIX_BYTES);
-        let cut = there < length;
+        let mut cut = there < length;
         let longest = if opcode == op::CHUNK { LONGEST_CHUNK } else { LONGEST_RECORD };
         // A picture or an attachment may be longer than what is worth holding; a length that leads out of the file is a
         // cut file's last record, or damaged.
@@ -152,11 +164,17 @@ impl<R: Read + Seek> McapFile<R> {
         self.at += PREFIX_BYTES + there;
         if length > longest {
             self.damage.passed_over += u64::from(opcode == op::MESSAGE);
-            self.input.seek(SeekFrom::Start(self.at))?;
+            self.at = self.at.min(self.input.seek(SeekFrom::Start(self.at))?);
             return Ok(None);
         }
         record.resize(there as usize, 0);
-        self.input.read_exact(record)?;
+        let read = read_up_to(&mut self.input, record)? as u64;
+        if read < there {
+            cut = true;
+            record.truncate(read as usize);
+            self.at = begin + PREFIX_BYTES + read;
+            self.length = self.at;
+        }
         if cut && self.damage.first_at.is_none() && opcode != op::CHUNK && self.resumes_within(begin)? {
             return Ok(None);
         }
@@ -192,14 +210,17 @@ impl<R: Read + Seek> McapFile<R> {
     ///
     /// # Errors
     /// Reading failed; a summary that is missing or damaged is an empty one.
-    pub(crate) fn each_in_summary(&mut self, take: impl FnMut(u8, &[u8])) -> io::Result<()> {
+    fn summary(&mut self, take: &mut dyn FnMut(u8, &[u8])) -> io::Result<()> {
+        if self.is_stream {
+            return Ok(());
+        }
         let stood = self.input.stream_position()?;
         let result = self.read_summary(take);
         self.input.seek(SeekFrom::Start(stood))?;
         result
     }
 
-    fn read_summary(&mut self, mut take: impl FnMut(u8, &[u8])) -> io::Result<()> {
+    fn read_summary(&mut self, take: &mut dyn FnMut(u8, &[u8])) -> io::Result<()> {
         let Some(footer_at) = self.length.checked_sub(FOOTER_AND_MAGIC_BYTES) else { return Ok(()) };
         let mut footer = [0; FOOTER_AND_MAGIC_BYTES as usize];
         self.input.seek(SeekFrom::Start(footer_at))?;
@@ -238,7 +259,13 @@ impl<R: Read + Seek> McapFile<R> {
             return Ok(None);
         }
         let mut prefix = [0; PREFIX_BYTES as usize];
-        self.input.read_exact(&mut prefix)?;
+        let there = read_up_to(&mut self.input, &mut prefix)? as u64;
+        if there < PREFIX_BYTES {
+            self.length = self.at + there;
+            self.damage.cut_at = Some(self.length);
+            self.ended = true;
+            return Ok(None);
+        }
         let [opcode, length @ ..] = prefix;
         Ok(Some((opcode, u64::from_le_bytes(length))))
     }
@@ -262,6 +289,7 @@ impl<R: Read + Seek> McapFile<R> {
                 return Ok(true);
             }
             if there < window.len() {
+                self.length = self.length.min(from + there as u64);
                 self.damage.skipped_bytes += self.length - damaged_at;
                 self.ended = true;
                 return Ok(false);
@@ -269,6 +297,20 @@ impl<R: Read + Seek> McapFile<R> {
             from += (there - CHUNK_HEAD_BYTES) as u64;
             window.resize((2 * window.len()).min(1 << 20), 0);
         }
+    }
+}
+
+impl<R: Read + Seek> RecordLog for McapFile<R> {
+    fn next_record(&mut self, record: &mut Vec<u8>) -> io::Result<Option<u8>> {
+        self.next(record)
+    }
+
+    fn each_in_summary(&mut self, take: &mut dyn FnMut(u8, &[u8])) -> io::Result<()> {
+        self.summary(take)
+    }
+
+    fn notes(&self) -> Vec<String> {
+        self.damage.notes()
     }
 }
 

@@ -1,6 +1,7 @@
 //! Rows of a CSV text: fields divided by commas, semicolons or tabs, in quotes where they hold these. A row is a line, so that a
 //! stray quote costs the line that it is in, and not all that follow.
 
+use std::collections::VecDeque;
 use std::io::{self, Read};
 
 use super::lines::{Line, Lines};
@@ -8,9 +9,16 @@ use super::lines::{Line, Lines};
 /// Longest line that is read, bytes: some ten thousand columns.
 const LONGEST_LINE: u64 = 1 << 20;
 
+const TOO_LONG: &str = "the line is longer than a row can be";
+
 /// See the [module](self).
 pub(crate) struct Rows<R> {
     lines: Lines<R>,
+    /// Lines that were looked at before the first row, and the number of the first of them.
+    looked_at: VecDeque<Vec<u8>>,
+    number: u64,
+    /// The line after them is too long for a row.
+    long_line: bool,
     divider: u8,
     row: Row,
 }
@@ -24,43 +32,82 @@ pub(crate) struct Row {
 }
 
 impl<R: Read> Rows<R> {
-    /// Reads the header row, divided by what divides it most; gives the columns' names too.
+    /// Looks at the first lines of a text. The lines before the first row, and the divider, are for [`begin`](Self::begin).
+    pub(crate) fn new(input: R) -> Self {
+        let lines = Lines::new(input, LONGEST_LINE);
+        Rows {
+            lines,
+            looked_at: VecDeque::new(),
+            number: 0,
+            long_line: false,
+            divider: b',',
+            row: Row::default(),
+        }
+    }
+
+    /// One more line of the text's beginning, without taking it; `None` at the end.
     ///
     /// # Errors
-    /// One line: nothing can be read, or the first line is no header row.
-    pub(crate) fn new(input: R) -> Result<(Self, Vec<String>), String> {
-        let mut lines = Lines::new(input, LONGEST_LINE);
-        let header = match lines.next().map_err(|error| error.to_string())? {
-            None => b"",
-            Some(Line::TooLong) => return Err(format!("its first line has more than {LONGEST_LINE} bytes")),
-            Some(Line::Whole(line)) => line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line),
+    /// One line: it cannot be read, or the first is too long. A later one that is ends the look, and is a row that cannot be read.
+    pub(crate) fn look_at_next(&mut self) -> Result<Option<&[u8]>, String> {
+        if self.long_line {
+            return Ok(None);
+        }
+        let number = self.lines.number() + 1;
+        let line = match self.lines.next().map_err(|error| error.to_string())? {
+            None => return Ok(None),
+            Some(Line::TooLong) if number == 1 => {
+                return Err(format!("its first line has more than {LONGEST_LINE} bytes"));
+            }
+            Some(Line::TooLong) => {
+                self.long_line = true;
+                return Ok(None);
+            }
+            Some(Line::Whole(line)) if number == 1 => line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line),
+            Some(Line::Whole(line)) => line,
         };
-        let count = |divider: u8| header.iter().filter(|byte| **byte == divider).count();
-        let divider = [b'\t', b';']
-            .into_iter()
-            .fold(b',', |best, other| if count(other) > count(best) { other } else { best });
-        let mut row = Row::default();
-        row.split(header, divider).map_err(|what| format!("line 1: {what}"))?;
-        let columns = row.fields().map(|name| String::from_utf8_lossy(name).into_owned()).collect();
-        Ok((Rows { lines, divider, row }, columns))
+        self.looked_at.push_back(line.to_vec());
+        Ok(self.looked_at.back().map(Vec::as_slice))
+    }
+
+    /// Rows begin after so many of the lines that were looked at, with their fields divided so.
+    pub(crate) fn begin(&mut self, after: usize, divider: u8) {
+        self.looked_at.drain(..after.min(self.looked_at.len()));
+        self.number = after as u64;
+        self.divider = divider;
     }
 
     /// The next row, or what is wrong with it; empty lines are none.
     pub(crate) fn next(&mut self) -> io::Result<Option<Result<&Row, &'static str>>> {
+        while let Some(line) = self.looked_at.pop_front() {
+            self.number += 1;
+            if !line.trim_ascii().is_empty() {
+                return Ok(Some(self.row.split(&line, self.divider).map(|()| &self.row)));
+            }
+        }
+        if std::mem::take(&mut self.long_line) {
+            return Ok(Some(Err(TOO_LONG)));
+        }
         loop {
             return Ok(Some(match self.lines.next()? {
                 None => return Ok(None),
                 Some(Line::Whole(line)) if line.trim_ascii().is_empty() => continue,
                 Some(Line::Whole(line)) => self.row.split(line, self.divider).map(|()| &self.row),
-                Some(Line::TooLong) => Err("the line is longer than a row can be"),
+                Some(Line::TooLong) => Err(TOO_LONG),
             }));
         }
     }
 
     /// Line of the row that was read last.
     pub(crate) fn line_number(&self) -> u64 {
-        self.lines.number()
+        if self.looked_at.is_empty() { self.lines.number() } else { self.number }
     }
+}
+
+/// What divides a line's fields: what stands in it most.
+pub(crate) fn divider_of(line: &[u8]) -> u8 {
+    let count = |divider: u8| line.iter().filter(|byte| **byte == divider).count();
+    [b'\t', b';'].into_iter().fold(b',', |best, other| if count(other) > count(best) { other } else { best })
 }
 
 impl Row {
@@ -75,7 +122,11 @@ impl Row {
         (0..self.ends.len()).map_while(|column| self.field(column))
     }
 
-    fn split(&mut self, line: &[u8], divider: u8) -> Result<(), &'static str> {
+    /// Divides a line.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub(crate) fn split(&mut self, line: &[u8], divider: u8) -> Result<(), &'static str> {
         self.text.clear();
         self.ends.clear();
         let mut rest = Some(line);
@@ -118,7 +169,13 @@ mod tests {
     use super::*;
 
     fn rows(text: &str) -> (Vec<String>, Vec<Result<Vec<String>, &'static str>>) {
-        let (mut rows, columns) = Rows::new(text.as_bytes()).unwrap();
+        let mut rows = Rows::new(text.as_bytes());
+        let header = rows.look_at_next().unwrap().unwrap_or_default().to_vec();
+        let divider = divider_of(&header);
+        rows.begin(1, divider);
+        let mut row = Row::default();
+        row.split(&header, divider).unwrap();
+        let columns = row.fields().map(|name| String::from_utf8_lossy(name).into_owned()).collect();
         let mut found = Vec::new();
         while let Some(row) = rows.next().unwrap() {
             found.push(
@@ -140,6 +197,20 @@ mod tests {
         );
         assert_eq!(rows("a\tb,c\td").0, ["a", "b,c", "d"]);
         assert_eq!(rows("").0, [""]);
+    }
+
+    #[test]
+    fn a_long_line_costs_itself_wherever_it_stands() {
+        let long = "7".repeat(LONGEST_LINE as usize + 1);
+        let mut rows = Rows::new(long.as_bytes());
+        assert_eq!(rows.look_at_next(), Err(format!("its first line has more than {LONGEST_LINE} bytes")));
+        let text = format!("a,b\n{long}\n1,2\n");
+        let mut rows = Rows::new(text.as_bytes());
+        while rows.look_at_next().unwrap().is_some() {}
+        rows.begin(1, b',');
+        assert_eq!(rows.next().unwrap().map(|row| row.map(|_| ())), Some(Err(TOO_LONG)));
+        assert_eq!(rows.line_number(), 2);
+        assert_eq!(rows.next().unwrap().unwrap().unwrap().field(1), Some(&b"2"[..]));
     }
 
     #[test]

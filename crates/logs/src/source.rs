@@ -1,20 +1,20 @@
 //! A log as a stream of samples, whatever its kind.
 
-use std::fs::File;
-use std::io::{Cursor, Read, Seek};
 use std::path::Path;
 
 use seepd_signals::{Sample, Signal};
 
+use crate::bus_log::BusLogSource;
 use crate::can::dbc::Dbc;
 use crate::can::decode::FrameDecoder;
-use crate::candump::CandumpSource;
-use crate::counted::CountedReader;
+use crate::can::logged::FrameLog;
 use crate::csv::CsvSource;
 use crate::error::LogError;
-use crate::kind::{HEAD_BYTES, LogKind};
 use crate::mapping::LogMapping;
 use crate::mcap::McapSource;
+use crate::mdf::{MdfFile, MdfFrames, MdfSource};
+use crate::opened::Opened;
+use crate::series::{Series, is_series, logs_of};
 
 /// A stream of samples.
 pub trait Source {
@@ -28,7 +28,7 @@ pub trait Source {
     fn notes(&self) -> Vec<String>;
 }
 
-/// Opens a log by its content, whatever its name; `-` is a text on standard input.
+/// Opens a log by its content, whatever its name; `-` is standard input, a folder or a pattern the logs in it, one after the other.
 ///
 /// # Errors
 /// [`LogError`] where there is no such file, it is empty, or it is of no kind that is read.
@@ -36,63 +36,90 @@ pub fn open(path: &Path, mapping: &LogMapping) -> Result<Box<dyn Source + Send>,
     open_with(path, mapping, |_| {})
 }
 
-/// As [`open`]; `on_bytes` hears how many more bytes of the log have been read, its length in all. It hears nothing of standard
-/// input.
+/// As [`open`]; `on_bytes` hears how many more bytes of the log have been read, [`bytes_of`](crate::bytes_of) in all. It hears nothing of
+/// standard input.
 ///
 /// # Errors
 /// As [`open`].
 pub fn open_with(
     path: &Path,
     mapping: &LogMapping,
+    on_bytes: impl FnMut(u64) + Clone + Send + 'static,
+) -> Result<Box<dyn Source + Send>, LogError> {
+    if is_series(path) {
+        return Ok(Box::new(Series::new(logs_of(path)?, mapping, on_bytes)));
+    }
+    open_file(path, mapping, on_bytes)
+}
+
+/// As [`open_with`], of one log.
+pub(crate) fn open_file(
+    path: &Path,
+    mapping: &LogMapping,
     on_bytes: impl FnMut(u64) + Send + 'static,
 ) -> Result<Box<dyn Source + Send>, LogError> {
-    if path == Path::new("-") {
-        return open_standard_input(mapping);
-    }
-    let name = path.display().to_string();
-    let reading = |error| LogError::reading(&name, error);
-    let mut file = File::open(path).map_err(reading)?;
-    let facts = file.metadata().map_err(reading)?;
-    if facts.is_dir() {
-        return Err(LogError::Folder { name });
-    }
-    let head = head_of(&mut file).map_err(reading)?;
-    let kind = LogKind::of(&head, &name)?;
-    let source: Box<dyn Source + Send> = match kind {
-        LogKind::Mcap => {
-            file.rewind().map_err(|_| mcap_from_pipe(&name))?;
-            let file = CountedReader::new(file, facts.len(), on_bytes);
-            Box::new(McapSource::new(file, &name, mapping.places())?)
-        }
-        // What has been read of a pipe does not come again.
-        LogKind::Csv | LogKind::Candump => {
-            let text = CountedReader::new(Cursor::new(head).chain(file), facts.len(), on_bytes);
-            open_text(kind, text, &name, mapping)?
-        }
-    };
+    let log = Opened::at(path, on_bytes)?;
+    let name = log_name(path);
+    let source = of_opened(log, &name, mapping)?;
     Ok(Box::new(Usable { source, name, samples: 0, usable: false }))
 }
 
-fn open_standard_input(mapping: &LogMapping) -> Result<Box<dyn Source + Send>, LogError> {
-    let name = "standard input";
-    let mut input = std::io::stdin();
-    let head = head_of(&mut input).map_err(|error| LogError::reading(name, error))?;
-    let source = match LogKind::of(&head, name)? {
-        LogKind::Mcap => return Err(mcap_from_pipe(name)),
-        kind => open_text(kind, Cursor::new(head).chain(input), name, mapping)?,
-    };
-    Ok(Box::new(Usable { source, name: name.into(), samples: 0, usable: false }))
+/// What messages call a log.
+pub(crate) fn log_name(path: &Path) -> String {
+    if path == Path::new("-") { "standard input".into() } else { path.display().to_string() }
 }
 
-/// The bytes by which a log's kind is told.
-fn head_of(input: &mut impl Read) -> std::io::Result<Vec<u8>> {
-    let mut head = Vec::with_capacity(HEAD_BYTES);
-    input.take(HEAD_BYTES as u64).read_to_end(&mut head)?;
-    Ok(head)
+pub(crate) fn of_opened<'i>(
+    log: Opened<'i>,
+    name: &str,
+    mapping: &LogMapping,
+) -> Result<Box<dyn Source + Send + 'i>, LogError> {
+    Ok(match log {
+        Opened::Records(_, file) => Box::new(McapSource::of(file, name, mapping.places())),
+        Opened::Csv(text) => Box::new(CsvSource::new(text, name, mapping)?),
+        Opened::Frames(_, frames) => Box::new(BusLogSource::new(frames, name, log_decoder(name, mapping)?)),
+        Opened::Mdf(file) => mdf_source(*file, name, mapping)?,
+    })
 }
 
-fn mcap_from_pipe(name: &str) -> LogError {
-    LogError::data(name, "this is an MCAP log; name its file, since MCAP is not read from a pipe")
+/// Samples from an MDF log: from the frames of a bus where the mapping has what tells fields in them, else from what was measured.
+fn mdf_source<'i>(
+    file: MdfFile<'i>,
+    name: &str,
+    mapping: &LogMapping,
+) -> Result<Box<dyn Source + Send + 'i>, LogError> {
+    let places = mapping.places();
+    let in_frames = mapping.dbc.is_some() || places.iter().any(|(_, place)| place.bits.is_some());
+    if file.has_frames() && (in_frames || !file.has_signals()) {
+        let frames = Box::new(MdfFrames::new(file).map_err(|error| LogError::reading(name, error))?);
+        return Ok(Box::new(BusLogSource::new(frames, name, log_decoder(name, mapping)?)));
+    }
+    Ok(Box::new(MdfSource::new(file, name, places)?))
+}
+
+/// The frames of a bus's log, as they are.
+///
+/// # Errors
+/// [`LogError`] where it cannot be read, or has none.
+pub fn frames(path: &Path) -> Result<Box<dyn FrameLog + Send>, LogError> {
+    let name = log_name(path);
+    match Opened::at(path, |_| {})? {
+        Opened::Frames(_, frames) => Ok(frames),
+        Opened::Mdf(file) if file.has_frames() => {
+            Ok(Box::new(MdfFrames::new(*file).map_err(|error| LogError::reading(name, error))?))
+        }
+        _ => Err(LogError::data(name, "this is no log of a bus")),
+    }
+}
+
+/// The decoder for a log's frames.
+fn log_decoder(name: &str, mapping: &LogMapping) -> Result<FrameDecoder, LogError> {
+    frame_decoder(mapping).map_err(|error| match error {
+        LogError::Mapping { what } if mapping.dbc.is_none() => {
+            LogError::mapping(format!("{name}: this is a CAN log; {what}"))
+        }
+        other => other,
+    })
 }
 
 /// A log that ends in a failure where none of its commands was a number: nobody is to take silence for health.
@@ -132,23 +159,4 @@ impl Source for Usable {
 pub fn frame_decoder(mapping: &LogMapping) -> Result<FrameDecoder, LogError> {
     let dbc = mapping.dbc.as_deref().map(Dbc::read).transpose()?;
     FrameDecoder::new(mapping.places(), mapping.counter.as_ref(), dbc.as_ref())
-}
-
-fn open_text(
-    kind: LogKind,
-    input: impl Read + Send + 'static,
-    name: &str,
-    mapping: &LogMapping,
-) -> Result<Box<dyn Source + Send>, LogError> {
-    if kind == LogKind::Candump {
-        let decoder = frame_decoder(mapping).map_err(|error| match error {
-            LogError::Mapping { what } if mapping.dbc.is_none() => {
-                LogError::mapping(format!("{name}: this is a CAN log; {what}"))
-            }
-            other => other,
-        })?;
-        return Ok(Box::new(CandumpSource::new(input, name, decoder)));
-    }
-    let LogMapping { time_column, time_unit, .. } = mapping;
-    Ok(Box::new(CsvSource::new(input, name, &mapping.places(), time_column, *time_unit)?))
 }

@@ -1,25 +1,33 @@
 //! A look at a whole log: topics, rates, gaps, numeric fields, and a guess what they are.
 
 use std::collections::{BTreeMap, HashMap};
-use std::io::{Cursor, Read, Seek};
+use std::io::{Read, Seek};
+use std::path::{Path, PathBuf};
 
 use mcap::records::op;
 use seepd_signals::Signal;
 use serde::Serialize;
 
 use super::bus_survey::{BusFound, BusSurvey, RawGuess};
-use super::candump::{self, LONGEST_LINE};
 use super::decode::{DECODERS_BYTES, Decoder, decoder_bytes};
 use super::fields::{LONGEST_PATH, Paths};
 use super::guess::{Guess, guess};
 use super::intervals::Intervals;
-use super::kind::{HEAD_BYTES, LogKind};
-use super::lines::Lines;
-use super::mcap_file::{ChannelRecord, McapFile, Schemas};
-use super::rows::Rows;
+use super::kind::LogKind;
+use super::mcap_file::{ChannelRecord, Schemas};
+use crate::bus_log::Unreadable;
 use crate::can::dbc::Dbc;
+use crate::can::logged::{FrameLog, LoggedFrame};
+use crate::columns::TimeColumn;
 use crate::error::LogError;
 use crate::mapping::TimeUnit;
+use crate::mdf::{MdfFile, MdfFrames};
+use crate::opened::{Bytes, Opened, Origin};
+use crate::record_log::RecordLog;
+use crate::series::logs_of;
+use crate::source::log_name;
+use crate::table::{Table, number};
+use crate::table_time::{TablePlace, TableTime};
 
 /// `seepd.inspect/1`: what a log holds.
 #[derive(Serialize)]
@@ -28,7 +36,7 @@ pub struct LogSurvey {
     pub schema: &'static str,
     /// Name of the log.
     pub file: String,
-    /// `MCAP`, `CSV` or `candump`.
+    /// What people call its kind, such as `MCAP`, `CSV` or `candump`.
     pub kind: &'static str,
     /// Topics in the order of their names.
     pub topics: Vec<TopicSurvey>,
@@ -116,55 +124,88 @@ pub(super) const TOPICS_KEPT: usize = 1024;
 /// Fields that are told in all.
 const FIELDS_IN_ALL: usize = 1 << 15;
 
-/// Looks through a log.
+/// Looks through a log that is at hand.
 ///
 /// # Errors
 /// [`LogError`] where it cannot be read or is of no kind that is known.
-pub fn survey<R: Read + Seek>(
-    mut input: R,
+pub fn survey<R: Read + Seek + Send>(
+    input: R,
     name: &str,
     time_column: &str,
     dbc: Option<&Dbc>,
 ) -> Result<LogSurvey, LogError> {
-    let io = |error: std::io::Error| LogError::reading(name, error);
-    let mut head = Vec::new();
-    input.by_ref().take(HEAD_BYTES as u64).read_to_end(&mut head).map_err(io)?;
-    let kind = LogKind::of(&head, name)?;
-    if kind == LogKind::Mcap {
-        input.rewind().map_err(io)?;
+    let log = Opened::of(Bytes::File(Box::new(input)), name, Origin::default())?;
+    of_opened(log, name, Some(time_column), dbc)
+}
+
+/// Looks through a log; of a folder or a pattern, through the first one. A CSV's time column is found where none is named. `on_bytes`
+/// hears how many more bytes have been read.
+///
+/// # Errors
+/// [`LogError`] where it cannot be read or is of no kind that is known.
+pub fn survey_log(
+    path: &Path,
+    time_column: Option<&str>,
+    dbc: Option<&Dbc>,
+    on_bytes: impl FnMut(u64) + Send + 'static,
+) -> Result<LogSurvey, LogError> {
+    let logs = logs_of(path)?;
+    let first = logs.first().map_or(path, PathBuf::as_path);
+    let name = log_name(first);
+    let found = time_column.is_none().then(|| TimeColumn::of_csv(first)).flatten();
+    let time_column = time_column.or(found.as_ref().map(|found| found.column.as_str()));
+    let mut survey = of_opened(Opened::at(first, on_bytes)?, &name, time_column, dbc)?;
+    if let (Some(time), Some(found)) = (&mut survey.time, found) {
+        time.unit = found.unit;
+        survey.notes.retain(|note| !note.starts_with(BY_ITS_NAME));
+        if found.column != "t_s" {
+            survey.notes.push(found.why);
+        }
     }
-    // What has been read of a pipe does not come again.
-    let text = Cursor::new(head).chain(&mut input);
-    Ok(match kind {
-        LogKind::Mcap => {
-            let (topics, notes) = survey_mcap(input, name)?;
-            LogSurvey::new(name, "MCAP", topics, None, notes)
+    if logs.len() > 1 {
+        survey.notes.push(format!("the first of {} logs was looked into", logs.len()));
+    }
+    Ok(survey)
+}
+
+const BY_ITS_NAME: &str = "by its name, ";
+
+fn of_opened(
+    log: Opened<'_>,
+    name: &str,
+    time_column: Option<&str>,
+    dbc: Option<&Dbc>,
+) -> Result<LogSurvey, LogError> {
+    Ok(match log {
+        Opened::Records(kind, mut file) => {
+            let (topics, notes) = survey_records(&mut *file, name)?;
+            LogSurvey::new(name, kind, topics, None, notes)
         }
-        LogKind::Csv => {
-            let unit = TimeUnit::of_column(time_column);
-            let (topic, mut notes) = survey_csv(text, name, time_column, unit)?;
-            let time = notes.is_empty().then(|| TimeGuess { column: time_column.to_owned(), unit });
-            if time.is_some() && unit != TimeUnit::S {
-                notes.push(format!(
-                    "by its name, the column `{time_column}` is taken to be in {}",
-                    unit.name()
-                ));
+        Opened::Csv(text) => {
+            let column = time_column.unwrap_or("t_s");
+            let (topic, mut notes, unit) = survey_csv(text, name, column, None)?;
+            let time = unit.map(|unit| TimeGuess { column: column.to_owned(), unit });
+            if let Some(unit) = unit.filter(|unit| *unit != TimeUnit::S) {
+                notes.push(format!("{BY_ITS_NAME}the column `{column}` is taken to be in {}", unit.name()));
             }
-            LogSurvey { time, ..LogSurvey::new(name, "CSV", vec![topic], None, notes) }
+            LogSurvey { time, ..LogSurvey::new(name, LogKind::Csv, vec![topic], None, notes) }
         }
-        LogKind::Candump => {
-            let ((topics, raw), notes) = survey_candump(text, name, dbc)?;
-            LogSurvey::new(name, "candump", topics, raw, notes)
+        Opened::Frames(kind, mut frames) => {
+            let ((topics, raw), notes) = survey_frames(&mut *frames, name, dbc)?;
+            LogSurvey::new(name, kind, topics, raw, notes)
+        }
+        Opened::Mdf(file) => {
+            let ((topics, raw), notes) = survey_mdf(*file, name, dbc)?;
+            LogSurvey::new(name, LogKind::Mdf, topics, raw, notes)
         }
     })
 }
 
-pub(crate) fn survey_mcap<R: Read + Seek>(
-    input: R,
+pub(crate) fn survey_records(
+    file: &mut dyn RecordLog,
     name: &str,
 ) -> Result<(Vec<TopicSurvey>, Vec<String>), LogError> {
     let io = |error: std::io::Error| LogError::data(name, format!("{error}"));
-    let mut file = McapFile::new(input).map_err(io)?;
     let mut topics = Topics::default();
     let mut record = Vec::new();
     while let Some(opcode) = file.next_record(&mut record).map_err(io)? {
@@ -175,9 +216,45 @@ pub(crate) fn survey_mcap<R: Read + Seek>(
             _ => {}
         }
     }
-    let mut notes = file.damage.notes();
+    let mut notes = file.notes();
     notes.extend(topics.note());
     Ok((topics.of_channel.into_values().map(TopicSurvey::finished).collect(), notes))
+}
+
+/// The groups of measured signals, and the frames of a bus.
+pub(crate) fn survey_mdf(
+    mut file: MdfFile<'_>,
+    name: &str,
+    dbc: Option<&Dbc>,
+) -> Result<(BusFound, Vec<String>), LogError> {
+    let reading = |error| LogError::reading(name, error);
+    if file.has_frames() && (dbc.is_some() || !file.has_signals()) {
+        let mut frames = MdfFrames::new(file).map_err(reading)?;
+        return survey_frames(&mut frames, name, dbc);
+    }
+    let mut topics: BTreeMap<(usize, usize), TopicSurvey> = BTreeMap::new();
+    file.each_record(|record| {
+        if !topics.contains_key(&record.topic) && topics.len() == TOPICS_KEPT {
+            return;
+        }
+        let topic = topics.entry(record.topic).or_insert_with(|| TopicSurvey {
+            topic: record.topic_name().to_owned(),
+            mapping_topic: record.topic_name().to_owned(),
+            encoding: "mdf".into(),
+            ..TopicSurvey::default()
+        });
+        topic.messages += 1;
+        topic.take_time(record.time_ns);
+        if topic.messages <= LOOKED_INTO {
+            record.numbers().for_each(|(_, name, _, value)| topic.take_field(name, value));
+        }
+    })
+    .map_err(reading)?;
+    let mut notes = file.notes();
+    if file.has_frames() {
+        notes.push(format!("it has the frames of a bus too; {NO_DBC}"));
+    }
+    Ok(((topics.into_values().map(TopicSurvey::finished).collect(), None), notes))
 }
 
 /// The topics of an MCAP log, by channel.
@@ -242,59 +319,71 @@ impl Topics {
     }
 }
 
+/// The columns, what to tell of them, and the unit of the time where it is found.
 pub(crate) fn survey_csv(
     input: impl Read,
     name: &str,
     time_column: &str,
-    unit: TimeUnit,
-) -> Result<(TopicSurvey, Vec<String>), LogError> {
-    let (mut rows, headers) = Rows::new(input).map_err(|what| LogError::data(name, what))?;
+    unit: Option<TimeUnit>,
+) -> Result<(TopicSurvey, Vec<String>, Option<TimeUnit>), LogError> {
+    let mut table = Table::new(input, &[time_column]).map_err(|what| LogError::data(name, what))?;
+    let place = TablePlace::in_column(&table, time_column, unit);
+    let unit = match &place {
+        Some(TablePlace::Column { unit, .. }) => Some(*unit),
+        _ => None,
+    };
+    let time_index = table.column(time_column);
+    let mut time = place.map(TableTime::new);
     let mut topic = TopicSurvey { topic: "rows".into(), encoding: "csv".into(), ..TopicSurvey::default() };
-    while let Some(row) = rows.next().map_err(|error| LogError::reading(name, error))? {
+    let columns = table.columns.clone();
+    while let Some(row) = table.next().map_err(|error| LogError::reading(name, error))? {
         topic.messages += 1;
         let Ok(row) = row else {
             topic.unreadable += 1;
             continue;
         };
-        for (column, text) in headers.iter().zip(row.fields()) {
-            let value = std::str::from_utf8(text).ok().and_then(|text| text.parse::<f64>().ok());
-            match value {
-                None => {}
-                Some(time) if column == time_column => topic.take_time((time * unit.nanoseconds()) as i64),
-                Some(value) => topic.take_field(column, value),
+        if let Some(time_ns) = time.as_mut().and_then(|time| time.of_row(row).ok()) {
+            topic.take_time(time_ns);
+        }
+        for (index, (column, text)) in columns.iter().zip(row.fields()).enumerate() {
+            if Some(index) != time_index
+                && let Some(value) = number(text)
+            {
+                topic.take_field(column, value);
             }
         }
     }
     let mut notes = Vec::new();
-    if !headers.iter().any(|column| column == time_column) {
+    if time.is_none() {
         notes.push(format!("no column `{time_column}` for the time; name it with --time-column"));
     }
-    Ok((topic.finished(), notes))
+    if !table.has_names {
+        notes.push("its columns have no names; they are called by their numbers, from 1 on".into());
+    }
+    Ok((topic.finished(), notes, unit))
 }
 
-pub(crate) fn survey_candump(
-    input: impl Read,
+pub(crate) fn survey_frames(
+    frames: &mut dyn FrameLog,
     name: &str,
     dbc: Option<&Dbc>,
 ) -> Result<(BusFound, Vec<String>), LogError> {
-    let mut lines = Lines::new(input, LONGEST_LINE);
     let mut bus = BusSurvey::new(dbc);
-    let (mut unreadable, mut fractions, mut any) = (0, false, false);
-    while let Some(line) = lines.next().map_err(|error| LogError::reading(name, error))? {
-        match candump::parse(line) {
-            None => {}
-            Some(Err(_)) => unreadable += 1,
-            Some(Ok(line)) => {
+    let (mut unreadable, mut fractions, mut any) = (Unreadable::default(), false, false);
+    while let Some(frame) = frames.next_frame().map_err(|error| LogError::reading(name, error))? {
+        match frame {
+            Err(what) => unreadable.take(what, frames),
+            Ok(LoggedFrame { time_ns, interface, frame }) => {
                 any = true;
-                fractions |= !line.whole_second;
-                bus.take(line.interface, &line.frame, line.time_ns);
+                fractions |= time_ns % 1_000_000_000 != 0;
+                bus.take(interface.name(), &frame, time_ns);
             }
         }
     }
-    unreadable += bus.left_out;
-    let mut notes = Vec::new();
-    if unreadable > 0 {
-        notes.push(format!("{unreadable} lines were left out"));
+    let mut notes = frames.notes();
+    notes.extend(unreadable.note());
+    if bus.left_out > 0 {
+        notes.push(format!("{} frames of more identifiers, which are left out here", bus.left_out));
     }
     if !fractions && any {
         notes.push(
@@ -315,7 +404,7 @@ impl BusSurvey<'_> {
     pub fn into_survey(self, interface: &str) -> LogSurvey {
         let notes = if self.has_dbc() { Vec::new() } else { vec![NO_DBC.to_owned()] };
         let (topics, raw) = self.finish();
-        LogSurvey::new(interface, "CAN", topics, raw, notes)
+        LogSurvey::of(interface, "CAN", topics, raw, notes)
     }
 }
 
@@ -369,6 +458,16 @@ impl TopicSurvey {
 
 impl LogSurvey {
     fn new(
+        file: &str,
+        kind: LogKind,
+        topics: Vec<TopicSurvey>,
+        raw: Option<RawGuess>,
+        notes: Vec<String>,
+    ) -> Self {
+        Self::of(file, kind.name(), topics, raw, notes)
+    }
+
+    fn of(
         file: &str,
         kind: &'static str,
         mut topics: Vec<TopicSurvey>,

@@ -1,13 +1,12 @@
 //! `seepd evaluate`: what estimates and flags are worth on logs that know the truth.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use indicatif::ProgressBar;
-use seepd_logs::{LogMapping, Selection, SignalMapping, record};
+use seepd_logs::{LogMapping, Selection, SignalMapping, bytes_of, record};
 use seepd_monitor::pipeline::Pipeline;
 use seepd_signals::Signal;
 #[cfg(feature = "train")]
@@ -45,7 +44,7 @@ use crate::sink::terminal::{listed, print};
                         seepd evaluate --causes 10 --html causes.html\n  \
                         seepd evaluate --truth leak_lpm --truth-unit lpm --json rig.csv")]
 pub struct EvaluateArguments {
-    /// Logs: MCAP, CSV or candump
+    /// Logs; a folder or a quoted pattern is one machine's record
     #[cfg_attr(feature = "train", arg(required_unless_present = "causes", value_name = "LOG"))]
     #[cfg_attr(not(feature = "train"), arg(required = true, value_name = "LOG"))]
     logs: Vec<PathBuf>,
@@ -187,7 +186,7 @@ pub fn evaluated<T>(
     };
     let machines: Vec<&[PathBuf]> =
         if arguments.one_machine { vec![&arguments.logs] } else { arguments.logs.chunks(1).collect() };
-    let bytes = arguments.logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len());
+    let bytes = arguments.logs.iter().map(|log| bytes_of(log));
     // Each log is read twice.
     let bar = byte_bar(2 * bytes.sum::<u64>(), "evaluating");
     let mut records = Vec::with_capacity(machines.len());

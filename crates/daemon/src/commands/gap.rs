@@ -44,7 +44,7 @@ use crate::sink::terminal::print;
 pub struct GapArguments {
     #[command(subcommand)]
     blind: Option<Other>,
-    /// Log: MCAP, CSV or candump
+    /// Log, or a folder or a pattern of logs
     #[arg(value_name = "LOG", required = true)]
     log: Option<PathBuf>,
     /// Plant file instead of the nominal press

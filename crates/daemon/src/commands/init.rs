@@ -50,7 +50,7 @@ pub fn run(arguments: &InitArguments) -> Result<Outcome, Failure> {
     let inputs = [Some(&arguments.place), arguments.dbc.as_ref()].into_iter().flatten();
     let target = Outputs::new(arguments.overwrite, inputs.map(PathBuf::as_path)).claim(&arguments.out)?;
     let dbc = arguments.dbc.as_deref().map(Dbc::read).transpose()?;
-    let found = look(&arguments.place, "t_s", dbc.as_ref(), arguments.seconds)?;
+    let found = look(&arguments.place, None, dbc.as_ref(), arguments.seconds)?;
     let text = configuration(arguments, &found);
     DaemonConfig::parse(&text).map_err(|message| {
         Failure::new(

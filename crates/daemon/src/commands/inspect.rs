@@ -1,15 +1,14 @@
 //! `seepd inspect`: what a log holds, and the mapping that would read it.
 
-use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 #[cfg(feature = "live")]
 use std::time::Duration;
 
 use clap::Args;
-use seepd_logs::CountedReader;
+use seepd_logs::bytes_of;
 use seepd_logs::can::dbc::Dbc;
-use seepd_logs::survey::{LogSurvey, survey, toml_text};
+use seepd_logs::survey::{LogSurvey, survey_log, toml_text};
 
 use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
@@ -29,7 +28,7 @@ use crate::sink::terminal::print;
                         seepd inspect press.fmu > plant.toml     # variables of a model, and a plant file"
 )]
 pub struct InspectArguments {
-    /// Log (MCAP, CSV with a header row, candump), a CAN interface such as can0, or a model (FMU)
+    /// Log, a folder or a pattern of logs, a CAN interface such as can0, or a model (FMU)
     #[arg(value_name = "LOG")]
     log: PathBuf,
     /// How long to listen on a CAN interface, s
@@ -38,9 +37,9 @@ pub struct InspectArguments {
     /// Print one JSON object instead
     #[arg(long)]
     json: bool,
-    /// Time column of a CSV file; its unit is what its name ends in, as in time_ms, else seconds
-    #[arg(long, default_value = "t_s", value_name = "COLUMN")]
-    time_column: String,
+    /// Time column of a CSV file; its unit is what its name ends in, as in time_ms, else seconds [default: found by name and steps]
+    #[arg(long, value_name = "COLUMN")]
+    time_column: Option<String>,
     /// DBC file that describes the frames of a CAN log
     #[arg(long, value_name = "FILE")]
     dbc: Option<PathBuf>,
@@ -56,7 +55,7 @@ pub fn run(arguments: &InspectArguments) -> Result<Outcome, Failure> {
         return super::user_simulator::inspect(&arguments.log);
     }
     let dbc = arguments.dbc.as_deref().map(Dbc::read).transpose()?;
-    let found = look(&arguments.log, &arguments.time_column, dbc.as_ref(), arguments.seconds)?;
+    let found = look(&arguments.log, arguments.time_column.as_deref(), dbc.as_ref(), arguments.seconds)?;
     if arguments.json {
         let text = serde_json::to_string_pretty(&found).map_err(|error| {
             Failure::new(Code::Internal, format!("writing the overview as JSON: {error}"))
@@ -80,7 +79,7 @@ pub fn run(arguments: &InspectArguments) -> Result<Outcome, Failure> {
 /// [`Failure`] where neither can be read.
 pub(super) fn look(
     place: &Path,
-    time_column: &str,
+    time_column: Option<&str>,
     dbc: Option<&Dbc>,
     seconds: f64,
 ) -> Result<LogSurvey, Failure> {
@@ -88,10 +87,8 @@ pub(super) fn look(
     if !place.exists() && is_interface(&name) {
         return listen(&name, dbc, seconds);
     }
-    let file = File::open(place).map_err(|error| Failure::reading(place, &error))?;
-    let bytes = file.metadata().map_or(0, |facts| facts.len());
-    let bar = byte_bar(bytes, "inspecting");
-    let found = survey(CountedReader::new(file, bytes, counting(&bar)), &name, time_column, dbc)?;
+    let bar = byte_bar(bytes_of(place), "inspecting");
+    let found = survey_log(place, time_column, dbc, counting(&bar))?;
     bar.finish_and_clear();
     Ok(found)
 }

@@ -31,7 +31,7 @@ use crate::sink::terminal::{listed, print};
                         seepd replay --baseline press-1.baseline.json friday.mcap\n  \
                         seepd learn-baseline --seal-replaced --out press-1.baseline.json tuesday.mcap")]
 pub struct LearnBaselineArguments {
-    /// Logs of the healthy machine: MCAP, CSV or candump
+    /// Logs of the healthy machine, or folders or patterns of them
     #[arg(required = true, value_name = "LOG")]
     logs: Vec<PathBuf>,
     /// File to write

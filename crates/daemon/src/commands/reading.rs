@@ -1,11 +1,10 @@
 //! Where a command that reads logs finds the signals, the model and the baseline.
 
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use seepd_logs::{LogMapping, Selection, record};
+use seepd_logs::{LogMapping, Selection, bytes_of, record};
 use seepd_monitor::baseline::{Baseline, LEAST_CYCLES, MOST_CYCLES};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 use seepd_monitor::relative::RelativeMonitor;
@@ -36,6 +35,15 @@ pub struct MappingArguments {
     /// Field, column or DBC signal (`Signal` or `Message.Signal`) of the command
     #[arg(long, value_name = "FIELD")]
     command: Option<String>,
+    /// Factor that makes the command a share of full command, such as 0.01 for per cent [default: that of the unit in the DBC file, else 1]
+    #[arg(long, value_name = "FACTOR", allow_negative_numbers = true)]
+    scale: Option<f64>,
+    /// Turn the command's sign: where a positive command retracts
+    #[arg(long)]
+    invert: bool,
+    /// Rows a second of a CSV file without a time column, Hz
+    #[arg(long, value_name = "HZ")]
+    sample_rate: Option<f64>,
 }
 
 impl MappingArguments {
@@ -55,7 +63,18 @@ impl MappingArguments {
                 .map_err(|what| Failure::new(Code::Usage, format!("{}: {what}", path.display())))?,
             None => AxisConfig::default(),
         };
-        config.selection = Selection { topic: self.topic.clone(), command: self.command.clone() };
+        if self.scale.is_some_and(|scale| !scale.is_finite() || scale == 0.0) {
+            return Err(Failure::new(Code::Usage, "--scale must be a number other than 0"));
+        }
+        if let Some(rate_hz) = self.sample_rate.filter(|rate| !(0.1..=1e6).contains(rate)) {
+            return Err(Failure::new(
+                Code::Usage,
+                format!("--sample-rate is {rate_hz}; it must lie in 0.1 … 1e6 Hz"),
+            ));
+        }
+        let (topic, command) = (self.topic.clone(), self.command.clone());
+        config.selection = Selection { topic, command, scale: self.scale, invert: self.invert };
+        config.sample_rate_hz = self.sample_rate.or(config.sample_rate_hz);
         config.dbc = self.dbc.clone().or(config.dbc);
         Ok(config)
     }
@@ -222,7 +241,7 @@ pub(super) fn each_sample(
     what: &'static str,
     mut take: impl FnMut(&Sample),
 ) -> Result<(), Failure> {
-    let sizes = logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum();
+    let sizes = logs.iter().map(|log| bytes_of(log)).sum();
     let bar = byte_bar(sizes, what);
     let notes = record::each_sample(logs, mapping, counting(&bar), |sample| {
         take(sample);

@@ -1,13 +1,12 @@
 //! `seepd replay`: logs in, leak by cycle out.
 
-use std::fs;
 use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use indicatif::ProgressBar;
-use seepd_logs::open_with;
 use seepd_logs::record::Clock;
+use seepd_logs::{bytes_of, open_with};
 use seepd_monitor::baseline::Baseline;
 use seepd_monitor::event::{Event, Flag, Summary};
 use seepd_monitor::pipeline::{DutyCycle, Monitor, Pipeline};
@@ -29,9 +28,9 @@ use crate::sink::mcap::EventSink;
 use crate::sink::plain::Plain;
 use crate::sink::terminal::{self, Colour};
 
-/// Read logs (MCAP, CSV, candump) and show the leak by cycle, flags and a summary
+/// Read logs and show the leak by cycle, flags and a summary
 ///
-/// Several logs are read one after the other as the record of one machine. A leak is given as the flow that it passes at a stated
+/// Several logs are read one after the other as the record of one machine; so are those of a folder or of a quoted pattern. A leak is given as the flow that it passes at a stated
 /// pressure difference (L/min), and as an area (mm²). JSON, CSV and MCAP have SI units.
 #[derive(Debug, Args)]
 #[command(
@@ -41,7 +40,7 @@ use crate::sink::terminal::{self, Colour};
                         seepd replay --html press-1.html monday.mcap tuesday.mcap"
 )]
 pub struct ReplayArguments {
-    /// Logs: MCAP, CSV or candump; `-` reads a text from standard input
+    /// Logs (MCAP, CSV, candump, ASC, BLF, TRC, MF4 and others), folders or patterns; `-` reads standard input
     #[arg(required = true, value_name = "LOG")]
     logs: Vec<PathBuf>,
     #[command(flatten)]
@@ -448,10 +447,7 @@ impl Printer {
         if self.format == Format::Lines && io::stdout().is_terminal() {
             return ProgressBar::hidden();
         }
-        byte_bar(
-            logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum(),
-            "replaying",
-        )
+        byte_bar(logs.iter().map(|log| bytes_of(log)).sum(), "replaying")
     }
 
     fn event(&mut self, event: &Event<'_>) -> Result<(), Failure> {

@@ -37,6 +37,8 @@ pub struct AxisConfig {
     pub time_column: String,
     /// Unit of that column; absent: what its name ends in, such as `time_ms`, else seconds.
     pub time_unit: Option<TimeUnit>,
+    /// Rows a second of a CSV file without a time column.
+    pub sample_rate_hz: Option<f64>,
     /// DBC file that describes a CAN log's frames, relative to this file.
     pub dbc: Option<PathBuf>,
     /// Where each signal is. Empty: every signal under its own name, on the log's one topic that ends in `/signals`.
@@ -66,6 +68,7 @@ impl Default for AxisConfig {
             operating_hours_per_year: HOURS_PER_YEAR,
             time_column,
             time_unit: None,
+            sample_rate_hz: None,
             dbc: None,
             signals: BTreeMap::new(),
             alarm: AlarmConfig::default(),
@@ -135,7 +138,7 @@ pub enum Pace {
 pub struct SourceConfig {
     /// CAN interface, such as `can0`; `unix:PATH` binds a Unix datagram socket that takes frames as Linux lays them out.
     pub can: Option<String>,
-    /// Log instead (MCAP, CSV, candump), relative to this file; `-` reads a text from standard input.
+    /// Log instead, of any kind that is read, or a folder or a pattern, relative to this file; `-` reads standard input.
     pub log: Option<PathBuf>,
     /// Pace of a log.
     pub pace: Pace,
@@ -196,6 +199,9 @@ impl AxisConfig {
                 "operating_hours_per_year is {}; it must lie in 0 … 8784",
                 self.operating_hours_per_year
             ));
+        }
+        if let Some(rate_hz) = self.sample_rate_hz.filter(|rate| !(0.1..=1e6).contains(rate)) {
+            return Err(format!("sample_rate_hz is {rate_hz}; it must lie in 0.1 … 1e6 Hz"));
         }
         check_signals(&self.signals).map_err(|error| error.to_string())?;
         let learned = self.baseline.learn_cycles;
@@ -259,6 +265,7 @@ impl AxisConfig {
             selection: self.selection.clone(),
             time_column: self.time_column.clone(),
             time_unit: self.time_unit,
+            sample_rate_hz: self.sample_rate_hz,
             dbc: self.dbc.clone(),
             counter: self.source.counter.clone(),
         }
@@ -267,8 +274,9 @@ impl AxisConfig {
     /// Where its command comes from, for advice; without a log, one is spoken of as `LOG`.
     pub fn command_source(&self, log: Option<&Path>) -> CommandSource {
         let mapping = self.signals.get(&Signal::Command).cloned().unwrap_or_default();
+        let scale = self.selection.scale.unwrap_or(mapping.scale);
         let log = log.map_or("LOG".to_owned(), |log| shell_word(&log.display().to_string()));
-        CommandSource { log, scale: mapping.scale, offset: mapping.offset }
+        CommandSource { log, scale, offset: mapping.offset }
     }
 
     /// How its samples become events, with the models of [`load_models`](Self::load_models).

@@ -232,9 +232,11 @@ pub(crate) struct FramePort {
 impl FramePort {
     fn open(place: &str, decoder: &FrameDecoder, receive_buffer_bytes: usize) -> io::Result<Self> {
         let filters: Vec<CanFilter> = decoder
-            .identifiers()
+            .choices()
             .into_iter()
-            .map(|id| CanFilter::new(linux::identifier_word(id), linux::filter_mask(id)))
+            .map(|choice| {
+                CanFilter::new(linux::identifier_word(choice.identifier), linux::filter_mask(choice))
+            })
             .collect();
         Self::open_filtered(place, Some(&filters), receive_buffer_bytes)
     }

@@ -1,5 +1,6 @@
 //! The log format of can-utils' `candump -l` and `-L`: `(1436509052.249713) can0 044#2A366C2BBA`.
 
+use super::words::{fixed_point, words};
 use super::{Content, Frame, Identifier};
 
 /// Flag of an error frame in an identifier of eight digits (`CAN_ERR_FLAG` of Linux).
@@ -10,8 +11,6 @@ const ERROR_FLAG: u32 = 0x2000_0000;
 pub struct Line<'a> {
     /// Time, ns.
     pub time_ns: i64,
-    /// Whether the time stamp has no fraction of a second.
-    pub whole_second: bool,
     /// Interface.
     pub interface: &'a [u8],
     /// Frame.
@@ -24,39 +23,17 @@ impl<'a> Line<'a> {
     /// # Errors
     /// What is wrong with it.
     pub fn parse(line: &'a [u8]) -> Result<Self, &'static str> {
-        let mut words = line.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        let mut words = words(line);
         let stamp = words.next().ok_or("it is empty")?;
         let stamp = stamp
             .strip_prefix(b"(")
             .and_then(|stamp| stamp.strip_suffix(b")"))
             .ok_or("it does not begin with a time in parentheses")?;
-        let (time_ns, whole_second) = time_ns(stamp).ok_or("its time is not a number of seconds")?;
+        let time_ns = fixed_point(stamp, 9).ok_or("its time is not a number of seconds")?;
         let interface = words.next().ok_or("it names no interface")?;
         let frame = frame(words.next().ok_or("it has no frame")?)?;
-        Ok(Line { time_ns, whole_second, interface, frame })
+        Ok(Line { time_ns, interface, frame })
     }
-}
-
-/// Seconds with a decimal fraction, without a detour over a float: absolute times have 19 digits.
-fn time_ns(stamp: &[u8]) -> Option<(i64, bool)> {
-    let mut parts = stamp.splitn(2, |byte| *byte == b'.');
-    let seconds = number(parts.next()?)?;
-    let fraction = parts.next().unwrap_or(b"0");
-    let digits = fraction.get(..9.min(fraction.len()))?;
-    let scale = 10i64.pow(9 - digits.len() as u32);
-    let nanoseconds = number(digits)? * scale;
-    let time_ns = seconds.checked_mul(1_000_000_000)?.checked_add(nanoseconds)?;
-    Some((time_ns, nanoseconds == 0))
-}
-
-fn number(digits: &[u8]) -> Option<i64> {
-    if digits.is_empty() {
-        return None;
-    }
-    digits.iter().try_fold(0i64, |number, byte| {
-        let digit = byte.is_ascii_digit().then(|| i64::from(byte - b'0'))?;
-        number.checked_mul(10)?.checked_add(digit)
-    })
 }
 
 fn frame(text: &[u8]) -> Result<Frame, &'static str> {
@@ -127,7 +104,6 @@ mod tests {
         let line = parse(&fd).unwrap();
         assert_eq!((line.time_ns, line.frame.data().len()), (7_000_000_001, 64));
         assert_eq!(parse("(1.0) can0 123#1122334455667788_E").unwrap().frame.data().len(), 8);
-        assert!(parse("(166.000000) can0 123#").unwrap().whole_second);
     }
 
     #[test]

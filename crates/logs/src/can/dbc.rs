@@ -4,12 +4,13 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use can_dbc::{
-    AttributeValue, ByteOrder as DbcByteOrder, Dbc as Parsed, DbcError, Message, MessageId,
-    MultiplexIndicator, Signal, SignalExtendedValueType, ValueType,
+    AttributeDefinition, AttributeValue, AttributeValueType, ByteOrder as DbcByteOrder, Dbc as Parsed,
+    DbcError, Message, MessageId, MultiplexIndicator, Signal, SignalExtendedValueType, ValueType,
 };
 use seepd_settings::{nearest, side_file};
 
 use super::bit_field::{BitField, BitFieldError, ByteOrder, Encoding};
+use super::j1939::{FrameChoice, NULL_ADDRESS, SourceAddress};
 use super::{Content, Frame, Identifier};
 use crate::error::LogError;
 
@@ -18,13 +19,24 @@ use crate::error::LogError;
 pub struct CanSignal {
     /// `Message.Signal`.
     pub name: String,
-    /// Frame that carries it.
-    pub identifier: Identifier,
+    /// Frames that carry it.
+    pub frames: FrameChoice,
     /// Unit, as the file has it; may be empty.
     pub unit: String,
     pub(super) field: BitField,
     /// All must hold for the frame to carry the signal.
     selectors: Vec<Selector>,
+    /// Raw values that say that there is none.
+    missing: Missing,
+}
+
+/// Raw values by which a sender says that it has no value.
+#[derive(Debug, Clone, PartialEq, Default)]
+struct Missing {
+    /// Those that the file gives such a name, sorted.
+    named: Vec<u64>,
+    /// The least of those that J1939 keeps for errors and for signals that are not there; 0: none.
+    from: u64,
 }
 
 /// A multiplexer's field, and for which of its values a signal is there.
@@ -43,17 +55,27 @@ pub enum Reading {
     Absent,
     /// The frame is too short for it.
     TooShort,
+    /// Its sender says that it has none: by a value that the file calls so, or by those that J1939 keeps for that.
+    NotAvailable,
 }
 
 impl CanSignal {
     /// A signal at a place of its own, without a file that names it.
-    pub fn at(name: &str, identifier: Identifier, field: BitField) -> Self {
-        CanSignal { name: name.into(), identifier, unit: String::new(), field, selectors: Vec::new() }
+    pub fn at(name: &str, frames: FrameChoice, field: BitField) -> Self {
+        let (unit, selectors, missing) = (String::new(), Vec::new(), Missing::default());
+        CanSignal { name: name.into(), frames, unit, field, selectors, missing }
+    }
+
+    /// The same of its J1939 parameter group from an address; `None` for a frame of 11 bits, which has none.
+    pub fn sent_by(mut self, source: SourceAddress) -> Option<Self> {
+        let Identifier::Extended(bits) = self.frames.identifier else { return None };
+        self.frames = FrameChoice::of_group(bits, source);
+        Some(self)
     }
 
     /// Reads the signal.
     pub fn read(&self, frame: &Frame) -> Reading {
-        if frame.identifier != self.identifier || frame.content != Content::Data {
+        if !self.frames.takes(frame.identifier) || frame.content != Content::Data {
             return Reading::Absent;
         }
         for selector in &self.selectors {
@@ -61,6 +83,11 @@ impl CanSignal {
             if !selector.ranges.iter().any(|(least, most)| (*least..=*most).contains(&raw)) {
                 return Reading::Absent;
             }
+        }
+        let Some(raw) = self.field.raw(frame.data()) else { return Reading::TooShort };
+        let Missing { named, from } = &self.missing;
+        if *from > 0 && raw >= *from || !named.is_empty() && named.binary_search(&raw).is_ok() {
+            return Reading::NotAvailable;
         }
         self.field.value(frame.data()).map_or(Reading::TooShort, Reading::Value)
     }
@@ -74,6 +101,14 @@ pub struct Dbc {
     /// The signals' whole names, where the file cuts them to 32 characters, by message and cut name.
     long_names: HashMap<MessageId, HashMap<String, String>>,
 }
+
+/// Words in the names of values that say that a signal has none.
+const NOT_AVAILABLE: &[&str] =
+    &["not available", "not_available", "notavailable", "invalid", "signal error", "no signal"];
+
+/// What to do with descriptions of buses in XML.
+const XML: &str = "this is an XML file, perhaps KCD or ARXML, and DBC files are read; convert it: pip install cantools canmatrix lxml; \
+                   cantools convert IN.kcd OUT.dbc, or canconvert IN.arxml OUT.dbc";
 
 /// Levels of multiplexers within multiplexers that are followed.
 const DEEPEST_MULTIPLEX: usize = 64;
@@ -98,6 +133,9 @@ impl Dbc {
             |_| bytes.iter().map(|byte| char::from(*byte)).collect(),
             |text| text.trim_start_matches('\u{feff}').to_owned(),
         );
+        if text.trim_start().starts_with('<') {
+            return Err(LogError::Dbc { name: file.into(), what: XML.into() });
+        }
         let mut parsed = Parsed::try_from(text.as_str())
             .map_err(|error| LogError::Dbc { name: file.into(), what: one_line(&error) })?;
         let mut long_names: HashMap<MessageId, HashMap<String, String>> = HashMap::new();
@@ -123,8 +161,68 @@ impl Dbc {
 
     /// Name of the message of an identifier.
     pub fn message_name(&self, identifier: Identifier) -> Option<String> {
-        let is = |message: &&Message| self.identifier(message) == Some(identifier);
-        self.parsed.messages.iter().find(is).map(|message| self.long_message_name(message))
+        self.message(identifier).map(|message| self.long_message_name(message))
+    }
+
+    /// The message of an identifier: the one that has it, else one whose parameter group it is of.
+    fn message(&self, identifier: Identifier) -> Option<&Message> {
+        let mut messages = self.parsed.messages.iter();
+        let has = |message: &&Message| self.identifier(message) == Some(identifier);
+        let takes = |message: &&Message| self.frames(message).is_some_and(|frames| frames.takes(identifier));
+        messages.find(has).or_else(|| self.parsed.messages.iter().find(takes))
+    }
+
+    /// The frames of a message: of J1939 its parameter group, from any address where the file's is none or the null address.
+    fn frames(&self, message: &Message) -> Option<FrameChoice> {
+        let identifier = self.identifier(message)?;
+        Some(match identifier {
+            Identifier::Extended(bits) if self.is_j1939(message) => {
+                let address = bits as u8;
+                let source =
+                    if address >= NULL_ADDRESS { SourceAddress::Any } else { SourceAddress::Of(address) };
+                FrameChoice::of_group(bits, source)
+            }
+            _ => FrameChoice::one(identifier),
+        })
+    }
+
+    /// Whether the file says that a message is of J1939.
+    fn is_j1939(&self, message: &Message) -> bool {
+        const FORMAT: &str = "VFrameFormat";
+        let Some(value) = self.parsed.resolved_message_attribute(message.id, FORMAT) else { return false };
+        let index = match value {
+            AttributeValue::String(name) => return name == "J1939PG",
+            AttributeValue::Uint(index) => Some(*index as usize),
+            AttributeValue::Int(index) => usize::try_from(*index).ok(),
+            AttributeValue::Double(index) => Some(*index as usize),
+        };
+        self.parsed.attribute_definitions.iter().any(|definition| match definition {
+            AttributeDefinition::Message(name, AttributeValueType::Enum(names)) if name == FORMAT => {
+                index.and_then(|index| names.get(index)).is_some_and(|name| name == "J1939PG")
+            }
+            _ => false,
+        })
+    }
+
+    /// The raw values that say that a signal has none.
+    fn missing(&self, message: &Message, signal: &Signal, field: &BitField) -> Missing {
+        let described =
+            self.parsed.value_descriptions_for_signal(message.id, &signal.name).unwrap_or_default();
+        let mask = u64::MAX >> (64 - field.bits());
+        let says_none = |text: &str| {
+            let text = text.to_lowercase();
+            NOT_AVAILABLE.iter().any(|word| text.contains(word)) || text == "sna"
+        };
+        let named = described.iter().filter(|value| says_none(&value.description));
+        let mut named: Vec<u64> = named.map(|value| value.id as u64 & mask).collect();
+        named.sort_unstable();
+        // SAE J1939-71: the highest byte says 0xFE for an error, 0xFF for a signal that is not there.
+        let is_number = signal.value_type == ValueType::Unsigned;
+        let from = match field.bits() {
+            bits @ (8 | 16 | 32) if is_number && self.is_j1939(message) => 0xfe << (bits - 8),
+            _ => 0,
+        };
+        Missing { named, from }
     }
 
     fn all(&self) -> impl Iterator<Item = (&Message, &Signal)> {
@@ -186,8 +284,7 @@ impl Dbc {
 
     /// The signals of a frame that can be read, up to so many.
     pub fn signals_of(&self, identifier: Identifier, most: usize) -> Vec<CanSignal> {
-        let is = |message: &&Message| self.identifier(message) == Some(identifier);
-        let message = self.parsed.messages.iter().find(is);
+        let message = self.message(identifier);
         let signals = message.into_iter().flat_map(|message| {
             message.signals.iter().filter_map(|signal| self.resolve(message, signal).ok())
         });
@@ -195,7 +292,7 @@ impl Dbc {
     }
 
     fn resolve(&self, message: &Message, signal: &Signal) -> Result<CanSignal, String> {
-        let identifier = self.identifier(message).ok_or_else(|| {
+        let frames = self.frames(message).ok_or_else(|| {
             format!("is in the message {}, whose identifier cannot occur on a CAN bus", message.name)
         })?;
         let field = self.field(message, signal).map_err(|error| error.to_string())?;
@@ -210,7 +307,8 @@ impl Dbc {
         }
         let selectors = self.selectors(message, signal)?;
         let (name, unit) = (self.full_name(message, signal), signal.unit.clone());
-        Ok(CanSignal { name, identifier, unit, field, selectors })
+        let missing = self.missing(message, signal, &field);
+        Ok(CanSignal { name, frames, unit, field, selectors, missing })
     }
 
     /// Identifier of a message; `None` for the collection of signals without a message and for impossible ones.

@@ -4,16 +4,16 @@ use seepd_signals::{Sample, Signal};
 
 use super::bit_field::BitField;
 use super::dbc::{CanSignal, Dbc, Reading};
+use super::j1939::{FrameChoice, SourceAddress};
 use super::timeline::Timeline;
 use super::{Content, Frame, Identifier};
 use crate::error::LogError;
-use crate::mapping::{BitsMapping, CounterMapping, SignalMapping};
+use crate::mapping::{BitsMapping, CounterMapping, SignalMapping, ToSi};
 
 /// A signal of the mapping.
 struct Wanted {
     signal: Signal,
-    scale: f64,
-    offset: f64,
+    to_si: ToSi,
     /// Interface; empty: any.
     interface: Vec<u8>,
     source: CanSignal,
@@ -26,6 +26,8 @@ pub struct FrameCounts {
     pub given: u64,
     /// Too short for a mapped signal.
     pub too_short: u64,
+    /// Frames whose sender says that it has no value for a mapped signal.
+    pub not_available: u64,
     /// Remote frames, which carry no data.
     pub remote: u64,
     /// Error frames.
@@ -67,11 +69,10 @@ impl FrameDecoder {
         let mut wanted = Vec::new();
         for (signal, mapping) in mapping {
             let name = format!("signals.{}", signal.name());
-            match find(&name, &mapping.field, mapping.bits.as_ref(), dbc) {
+            match find(&name, &mapping.field, mapping.bits.as_ref(), mapping.source_address, dbc) {
                 Ok(source) => wanted.push(Wanted {
                     signal,
-                    scale: mapping.scale,
-                    offset: mapping.offset,
+                    to_si: mapping.to_si(signal, &source.unit),
                     interface: mapping.topic.into_bytes(),
                     source,
                 }),
@@ -80,16 +81,16 @@ impl FrameDecoder {
             }
         }
         let counter = counter
-            .map(|counter| find("source.counter", &counter.field, counter.bits.as_ref(), dbc))
+            .map(|counter| find("source.counter", &counter.field, counter.bits.as_ref(), None, dbc))
             .transpose()?
             .map(|source| Counter { source, last: None });
         let command = wanted.iter().find(|wanted| wanted.signal == Signal::Command);
         if let (Some(counter), Some(command)) = (&counter, command)
-            && counter.source.identifier != command.source.identifier
+            && counter.source.frames != command.source.frames
         {
             return Err(LogError::mapping(format!(
                 "source.counter is in the frame {}, but signals.command is in {}; name a counter in the frame of the command, since it times that frame",
-                counter.source.identifier, command.source.identifier
+                counter.source.frames.identifier, command.source.frames.identifier
             )));
         }
         let (held, counts) = (Sample::new(0), FrameCounts::default());
@@ -112,21 +113,23 @@ impl FrameDecoder {
         }
         let steps = self.counter.as_mut().and_then(|counter| counter.take(frame, &mut self.counts));
         let mut has_command = false;
-        let mut too_short = false;
+        let (mut too_short, mut not_available) = (false, false);
         for wanted in &self.wanted {
             if !wanted.interface.is_empty() && wanted.interface != interface {
                 continue;
             }
             match wanted.source.read(frame) {
                 Reading::Value(value) => {
-                    self.held.set(wanted.signal, value * wanted.scale + wanted.offset);
+                    self.held.set(wanted.signal, wanted.to_si.of(value));
                     has_command |= wanted.signal == Signal::Command;
                 }
                 Reading::TooShort => too_short = true,
+                Reading::NotAvailable => not_available = true,
                 Reading::Absent => {}
             }
         }
         self.counts.too_short += u64::from(too_short);
+        self.counts.not_available += u64::from(not_available);
         self.counts.given += u64::from(has_command);
         if !has_command {
             return None;
@@ -143,12 +146,12 @@ impl FrameDecoder {
         &self.counts
     }
 
-    /// Identifiers that are looked at, each once.
-    pub fn identifiers(&self) -> Vec<Identifier> {
-        let counter = self.counter.iter().map(|counter| counter.source.identifier);
-        let mut all: Vec<Identifier> =
-            self.wanted.iter().map(|wanted| wanted.source.identifier).chain(counter).collect();
-        all.sort();
+    /// Frames that are looked at, each choice once.
+    pub fn choices(&self) -> Vec<FrameChoice> {
+        let counter = self.counter.iter().map(|counter| counter.source.frames);
+        let mut all: Vec<FrameChoice> =
+            self.wanted.iter().map(|wanted| wanted.source.frames).chain(counter).collect();
+        all.sort_by_key(|choice| (choice.identifier, choice.mask));
         all.dedup();
         all
     }
@@ -159,7 +162,7 @@ impl FrameDecoder {
         command.map_or("a command, which the mapping does not name".into(), |wanted| {
             let interface = String::from_utf8_lossy(&wanted.interface);
             let on = if interface.is_empty() { String::new() } else { format!(" on {interface}") };
-            format!("{} (identifier {}){on}", wanted.source.name, wanted.source.identifier)
+            format!("{} (identifier {}){on}", wanted.source.name, wanted.source.frames.identifier)
         })
     }
 }
@@ -167,7 +170,7 @@ impl FrameDecoder {
 impl Counter {
     /// Counts since the frame before; `None` where the counter does not say.
     fn take(&mut self, frame: &Frame, counts: &mut FrameCounts) -> Option<u64> {
-        if frame.identifier != self.source.identifier || frame.content != Content::Data {
+        if !self.source.frames.takes(frame.identifier) || frame.content != Content::Data {
             return None;
         }
         let value = self.source.field.raw(frame.data())?;
@@ -191,21 +194,51 @@ fn find(
     name: &str,
     field: &str,
     bits: Option<&BitsMapping>,
+    source: Option<SourceAddress>,
     dbc: Option<&Dbc>,
 ) -> Result<CanSignal, LogError> {
     match (bits, dbc) {
         (Some(bits), _) => {
             let field = BitField::new(bits.start, bits.length, bits.order, bits.encoding, 1.0, 0.0)
                 .map_err(|error| LogError::mapping(format!("{name}.bits: the field {error}")))?;
-            let identifier =
-                bits.identifier().map_err(|error| LogError::mapping(format!("{name}.bits: {error}")))?;
-            Ok(CanSignal::at(name, identifier, field))
+            let frames = frames_of(bits, source)
+                .map_err(|error| LogError::mapping(format!("{name}.bits: {error}")))?;
+            Ok(CanSignal::at(name, frames, field))
         }
-        (None, Some(dbc)) => dbc.find(field).map_err(|error| LogError::mapping(format!("{name}: {error}"))),
+        (None, Some(dbc)) => {
+            let found = dbc.find(field).map_err(|error| LogError::mapping(format!("{name}: {error}")))?;
+            match source {
+                Some(source) => found.sent_by(source).ok_or_else(|| {
+                    LogError::mapping(format!(
+                        "{name}.source_address: `{field}` is in a frame of 11 bits, which has none"
+                    ))
+                }),
+                None => Ok(found),
+            }
+        }
         (None, None) => Err(LogError::mapping(format!(
             "{name}: nothing says where `{field}` is in a frame: name the DBC file that describes the frames (dbc, --dbc FILE) or give \
              its bits ({name}.bits)"
         ))),
+    }
+}
+
+/// The frames that a bit layout is of.
+fn frames_of(bits: &BitsMapping, source: Option<SourceAddress>) -> Result<FrameChoice, LogError> {
+    match (bits.pgn, source) {
+        (Some(number), source) => {
+            let source = source.unwrap_or(SourceAddress::Any);
+            let what =
+                || LogError::mapping(format!("there is no parameter group {number}; the largest is 262143"));
+            FrameChoice::of_number(number, source).ok_or_else(what)
+        }
+        (None, Some(source)) => match bits.identifier()? {
+            Identifier::Extended(bits) => Ok(FrameChoice::of_group(bits, source)),
+            Identifier::Standard(_) => {
+                Err(LogError::mapping("an identifier of 11 bits has no source_address"))
+            }
+        },
+        (None, None) => bits.identifier().map(FrameChoice::one),
     }
 }
 
@@ -215,7 +248,15 @@ mod tests {
     use crate::can::bit_field::{ByteOrder, Encoding};
 
     fn bits(start: usize, length: usize, encoding: Encoding) -> BitsMapping {
-        BitsMapping { id: 0x123, extended: None, start, length, order: ByteOrder::LittleEndian, encoding }
+        BitsMapping {
+            id: 0x123,
+            pgn: None,
+            extended: None,
+            start,
+            length,
+            order: ByteOrder::LittleEndian,
+            encoding,
+        }
     }
 
     fn decoder() -> FrameDecoder {
@@ -242,7 +283,7 @@ mod tests {
         let mut decoder = decoder();
         let sample = decoder.take(&frame(&[0x18, 0xfc, 0]), b"can0", 7).unwrap();
         assert_eq!((sample.time_ns, sample.get(Signal::Command)), (7, Some(-0.1)));
-        assert_eq!(decoder.identifiers(), [Identifier::Standard(0x123)]);
+        assert_eq!(decoder.choices(), [FrameChoice::one(Identifier::Standard(0x123))]);
     }
 
     #[test]

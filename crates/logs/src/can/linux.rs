@@ -1,5 +1,6 @@
 //! Frames as Linux lays them out: `struct can_frame` (16 bytes) and `struct canfd_frame` (72 bytes), linux/can.h.
 
+use super::j1939::FrameChoice;
 use super::{Content, Frame, Identifier, MOST_BYTES};
 
 /// Bytes of a classic frame (`CAN_MTU`).
@@ -65,11 +66,11 @@ pub fn identifier_word(identifier: Identifier) -> u32 {
     }
 }
 
-/// Mask of a receive filter for one identifier: its bits, its length, and data frames only.
-pub const fn filter_mask(identifier: Identifier) -> u32 {
-    let bits = match identifier {
+/// Mask of a receive filter for the frames of a choice: the bits that must be the same, the length, and data frames only.
+pub const fn filter_mask(choice: FrameChoice) -> u32 {
+    let bits = match choice.identifier {
         Identifier::Standard(_) => STANDARD_MASK,
-        Identifier::Extended(_) => EXTENDED_MASK,
+        Identifier::Extended(_) => EXTENDED_MASK & choice.mask,
     };
     bits | EXTENDED_FLAG
 }

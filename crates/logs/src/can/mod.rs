@@ -1,11 +1,20 @@
 //! CAN: frames, where signals are in them, and the files that describe and record them.
 
+mod asc;
 pub mod bit_field;
+pub mod blf;
+pub(crate) mod busmaster;
 pub mod candump;
 pub mod dbc;
 pub mod decode;
+pub mod j1939;
 pub mod linux;
+pub mod logged;
+pub(crate) mod savvycan;
+pub mod text_log;
 mod timeline;
+mod trc;
+pub(crate) mod words;
 
 use std::fmt;
 

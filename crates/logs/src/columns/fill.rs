@@ -1,7 +1,7 @@
 //! The second reading of a log, which fills the columns.
 
 use std::collections::{BTreeMap, HashMap};
-use std::io::{Read, Seek};
+use std::io::Read;
 
 use mcap::records::op;
 
@@ -10,15 +10,17 @@ use super::unit::unit_in_name;
 use super::{Column, TimeColumn, Wanted};
 use crate::can::Identifier;
 use crate::can::dbc::{CanSignal, Dbc, Reading};
-use crate::candump::{self, LONGEST_LINE};
+use crate::can::logged::{FrameLog, Interface, LoggedFrame};
 use crate::decode::{DECODERS_BYTES, Decoder, decoder_bytes};
 use crate::error::LogError;
 use crate::fields::Paths;
-use crate::lines::Lines;
 use crate::mcap::{MESSAGE_HEADER_BYTES, channel_id, log_time_ns};
-use crate::mcap_file::{ChannelRecord, McapFile, Schemas};
-use crate::rows::Rows;
+use crate::mcap_file::{ChannelRecord, Schemas};
+use crate::mdf::{MdfFile, MdfFrames};
+use crate::record_log::RecordLog;
 use crate::survey::FIELDS_KEPT;
+use crate::table::{Table, number};
+use crate::table_time::{TablePlace, TableTime};
 
 /// A value is held over so many periods of its own topic.
 const HELD_PERIODS: f64 = 2.5;
@@ -101,9 +103,8 @@ impl Filling {
         of_topic.rev().map(|(index, column)| (column.field.clone(), index)).collect()
     }
 
-    pub(super) fn read_mcap<R: Read + Seek>(&mut self, input: R, name: &str) -> Result<(), LogError> {
+    pub(super) fn read_records(&mut self, file: &mut dyn RecordLog, name: &str) -> Result<(), LogError> {
         let reading = |error| LogError::reading(name, error);
-        let mut file = McapFile::new(input).map_err(reading)?;
         let mut channels = Channels::default();
         let mut record = Vec::new();
         while let Some(opcode) = file.next_record(&mut record).map_err(reading)? {
@@ -133,21 +134,25 @@ impl Filling {
         name: &str,
         time: &TimeColumn,
     ) -> Result<(), LogError> {
-        let (mut rows, headers) = Rows::new(input).map_err(|what| LogError::data(name, what))?;
+        let mut table = Table::new(input, &[&time.column]).map_err(|what| LogError::data(name, what))?;
         let places = self.places_of("");
-        let of_header: Vec<Option<usize>> =
-            headers.iter().map(|header| places.get(header).copied()).collect();
-        let Some(time_index) = headers.iter().position(|header| *header == time.column) else {
-            return Ok(());
-        };
-        while let Some(row) = rows.next().map_err(|error| LogError::reading(name, error))? {
+        let of_column: Vec<Option<usize>> =
+            table.columns.iter().map(|column| places.get(column).copied()).collect();
+        for (index, unit) in of_column.iter().zip(&table.units) {
+            if let (Some(index), false) = (index, unit.is_empty()) {
+                self.columns[*index].unit = Some(unit.clone());
+            }
+        }
+        let Some(place) = TablePlace::in_column(&table, &time.column, Some(time.unit)) else { return Ok(()) };
+        let mut time = TableTime::new(place);
+        while let Some(row) = table.next().map_err(|error| LogError::reading(name, error))? {
             let Ok(row) = row else { continue };
-            let Some(time_value) = row.field(time_index).and_then(number) else { continue };
-            match self.grid.place((time_value * time.unit.nanoseconds()).round() as i64) {
+            let Ok(time_ns) = time.of_row(row) else { continue };
+            match self.grid.place(time_ns) {
                 Place::End => return Ok(()),
                 Place::Outside => {}
                 Place::In(cell) => {
-                    for (column, text) in of_header.iter().zip(row.fields()) {
+                    for (column, text) in of_column.iter().zip(row.fields()) {
                         if let (Some(index), Some(value)) = (column, number(text)) {
                             set(&mut self.columns[*index].values, cell, value);
                         }
@@ -158,30 +163,61 @@ impl Filling {
         Ok(())
     }
 
-    pub(super) fn read_candump(
+    pub(super) fn read_mdf(
         &mut self,
-        input: impl Read,
+        mut file: MdfFile<'_>,
         name: &str,
         dbc: Option<&Dbc>,
     ) -> Result<(), LogError> {
-        let mut lines = Lines::new(input, LONGEST_LINE);
-        let mut signals: HashMap<(Vec<u8>, Identifier), Vec<FrameColumn>> = HashMap::new();
-        while let Some(line) = lines.next().map_err(|error| LogError::reading(name, error))? {
-            let Some(Ok(line)) = candump::parse(line) else { continue };
-            let key = (line.interface.to_vec(), line.frame.identifier);
+        let reading = |error| LogError::reading(name, error);
+        if file.has_frames() && dbc.is_some() {
+            let mut frames = MdfFrames::new(file).map_err(reading)?;
+            return self.read_frames(&mut frames, name, dbc);
+        }
+        let mut places: HashMap<(usize, usize), Vec<Option<usize>>> = HashMap::new();
+        file.each_record(|record| {
+            let Place::In(cell) = self.grid.place(record.time_ns) else { return };
+            let of_topic = places.entry(record.topic).or_default();
+            for (place, channel, unit, value) in record.numbers() {
+                if of_topic.len() <= place {
+                    of_topic.resize(place + 1, None);
+                    let found = self.places_of(record.topic_name()).get(channel).copied();
+                    if let (Some(index), false) = (found, unit.is_empty()) {
+                        self.columns[index].unit = Some(unit.to_owned());
+                    }
+                    of_topic[place] = found;
+                }
+                if let Some(index) = of_topic[place] {
+                    set(&mut self.columns[index].values, cell, value);
+                }
+            }
+        })
+        .map_err(reading)
+    }
+
+    pub(super) fn read_frames(
+        &mut self,
+        frames: &mut dyn FrameLog,
+        name: &str,
+        dbc: Option<&Dbc>,
+    ) -> Result<(), LogError> {
+        let mut signals: HashMap<(Interface, Identifier), Vec<FrameColumn>> = HashMap::new();
+        while let Some(frame) = frames.next_frame().map_err(|error| LogError::reading(name, error))? {
+            let Ok(LoggedFrame { time_ns, interface, frame }) = frame else { continue };
+            let key = (interface, frame.identifier);
             let of_frame = match signals.get(&key) {
                 Some(of_frame) => of_frame,
                 None => {
-                    let of_frame = self.signals_of(line.interface, line.frame.identifier, dbc);
+                    let of_frame = self.signals_of(interface.name(), frame.identifier, dbc);
                     signals.entry(key).or_insert(of_frame)
                 }
             };
-            match self.grid.place(line.time_ns) {
+            match self.grid.place(time_ns) {
                 Place::End => return Ok(()),
                 Place::Outside => {}
                 Place::In(cell) => {
                     for (signal, index) in of_frame {
-                        if let Reading::Value(value) = signal.read(&line.frame) {
+                        if let Reading::Value(value) = signal.read(&frame) {
                             set(&mut self.columns[*index].values, cell, value);
                         }
                     }
@@ -222,10 +258,6 @@ impl Filling {
         }
         (self.grid.start_ns(), self.grid.rate_hz, self.columns)
     }
-}
-
-fn number(text: &[u8]) -> Option<f64> {
-    std::str::from_utf8(text).ok()?.parse().ok()
 }
 
 /// Sets a cell; the first value in it stays.

@@ -10,17 +10,18 @@ mod grid;
 mod time_column;
 mod unit;
 
-use std::fs::File;
 use std::io::{Read, Seek};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub use time_column::TimeColumn;
 
 use crate::can::dbc::Dbc;
 use crate::error::LogError;
-use crate::kind::{HEAD_BYTES, LogKind};
 use crate::mapping::TimeUnit;
-use crate::survey::{TopicSurvey, survey_candump, survey_csv, survey_mcap};
+use crate::opened::{Bytes, Opened, Origin};
+use crate::series::logs_of;
+use crate::source::log_name;
+use crate::survey::{TopicSurvey, survey_csv, survey_frames, survey_mdf, survey_records};
 use fill::Filling;
 use grid::Grid;
 
@@ -71,106 +72,120 @@ pub struct Known {
 }
 
 impl Columns {
-    /// Reads a file.
+    /// Reads a file; of a folder or a pattern, the first log in it.
     ///
     /// # Errors
     /// [`LogError`] where it cannot be read, is of no kind that is known, or has no numbers over time.
     pub fn of_file(path: &Path, known: &Known) -> Result<Self, LogError> {
-        let name = path.display().to_string();
-        let reading = |error| LogError::reading(&name, error);
-        let file = File::open(path).map_err(reading)?;
-        if file.metadata().map_err(reading)?.is_dir() {
-            return Err(LogError::Folder { name });
+        let logs = logs_of(path)?;
+        let first = logs.first().map_or(path, PathBuf::as_path);
+        if first == Path::new("-") {
+            return Err(LogError::data("standard input", "the log is read several times; name its file"));
         }
-        Self::read(file, &name, known)
+        let mut columns = Self::by_opening(|| Opened::at(first, |_| {}), &log_name(first), known)?;
+        if logs.len() > 1 {
+            columns.notes.push(format!("the first of {} logs was looked into", logs.len()));
+        }
+        Ok(columns)
     }
 
     /// Reads a log of that name.
     ///
     /// # Errors
     /// As [`of_file`](Self::of_file).
-    pub fn read<R: Read + Seek>(mut input: R, name: &str, known: &Known) -> Result<Self, LogError> {
-        let reading = |error| LogError::reading(name, error);
-        let mut head = Vec::new();
-        input.by_ref().take(HEAD_BYTES as u64).read_to_end(&mut head).map_err(reading)?;
-        let kind = LogKind::of(&head, name)?;
-        input.rewind().map_err(reading)?;
-        let log = match kind {
-            LogKind::Mcap => Log::Mcap,
-            LogKind::Candump => Log::Candump(known.dbc.as_ref()),
-            LogKind::Csv => Log::Csv(TimeColumn::find(&mut input, name, known)?),
-        };
-        input.rewind().map_err(reading)?;
-        let (topics, mut notes) = log.survey(&mut input, name)?;
-        input.rewind().map_err(reading)?;
+    pub fn read<R: Read + Seek + Send + Clone>(
+        input: R,
+        name: &str,
+        known: &Known,
+    ) -> Result<Self, LogError> {
+        Self::by_opening(
+            || Opened::of(Bytes::File(Box::new(input.clone())), name, Origin::default()),
+            name,
+            known,
+        )
+    }
 
+    /// Reads a log that is opened for each time that it is read.
+    fn by_opening<'i>(
+        mut open: impl FnMut() -> Result<Opened<'i>, LogError>,
+        name: &str,
+        known: &Known,
+    ) -> Result<Self, LogError> {
+        let opened = open()?;
+        let time = match opened {
+            Opened::Csv(text) => Some(TimeColumn::find(text, name, known)?),
+            _ => None,
+        };
+        let dbc = known.dbc.as_ref();
+        let (topics, mut notes, kind) = surveyed(open()?, name, time.as_ref(), dbc)?;
         let (wanted, left_out) = wanted_fields(&topics);
         let grid = Grid::of(&topics).filter(|_| !wanted.is_empty());
-        let grid = grid.ok_or_else(|| log.nothing_to_see(name, &topics))?;
+        let grid = grid.ok_or_else(|| nothing_to_see(kind, dbc, name, &topics))?;
         notes.extend(grid.note());
         if left_out > 0 {
             notes.push(format!("{left_out} more fields are left out of the look at the signals"));
         }
         let mut filling = Filling::new(grid, wanted);
-        log.fill(input, name, &mut filling)?;
+        match (open()?, &time) {
+            (Opened::Records(_, mut file), _) => filling.read_records(&mut *file, name)?,
+            (Opened::Csv(text), Some(time)) => filling.read_csv(text, name, time)?,
+            (Opened::Csv(_), None) => {}
+            (Opened::Frames(_, mut frames), _) => filling.read_frames(&mut *frames, name, dbc)?,
+            (Opened::Mdf(file), _) => filling.read_mdf(*file, name, dbc)?,
+        }
         let (start_ns, rate_hz, columns) = filling.finish();
-        Ok(Columns { start_ns, rate_hz, columns, time: log.time(), notes })
+        Ok(Columns { start_ns, rate_hz, columns, time, notes })
     }
 }
 
-/// A kind of log, with what it takes to read it.
-enum Log<'k> {
-    Mcap,
-    Candump(Option<&'k Dbc>),
-    Csv(TimeColumn),
+/// What a log's topics say of its fields.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum FieldsOf {
+    Messages,
+    Frames,
 }
 
-impl Log<'_> {
-    /// The topics, and what to tell of them.
-    fn survey<R: Read + Seek>(
-        &self,
-        input: R,
-        name: &str,
-    ) -> Result<(Vec<TopicSurvey>, Vec<String>), LogError> {
-        match self {
-            Log::Mcap => survey_mcap(input, name),
-            Log::Candump(dbc) => {
-                survey_candump(input, name, *dbc).map(|((topics, _), notes)| (topics, notes))
-            }
-            Log::Csv(time) => {
-                survey_csv(input, name, &time.column, time.unit).map(|(topic, notes)| (vec![topic], notes))
-            }
+/// The topics, and what to tell of them.
+fn surveyed(
+    log: Opened<'_>,
+    name: &str,
+    time: Option<&TimeColumn>,
+    dbc: Option<&Dbc>,
+) -> Result<(Vec<TopicSurvey>, Vec<String>, FieldsOf), LogError> {
+    Ok(match log {
+        Opened::Records(_, mut file) => {
+            let (topics, notes) = survey_records(&mut *file, name)?;
+            (topics, notes, FieldsOf::Messages)
         }
-    }
-
-    fn fill<R: Read + Seek>(&self, input: R, name: &str, filling: &mut Filling) -> Result<(), LogError> {
-        match self {
-            Log::Mcap => filling.read_mcap(input, name),
-            Log::Candump(dbc) => filling.read_candump(input, name, *dbc),
-            Log::Csv(time) => filling.read_csv(input, name, time),
+        Opened::Csv(text) => {
+            let (column, unit) = time.map_or(("t_s", None), |time| (&*time.column, Some(time.unit)));
+            let (topic, notes, _) = survey_csv(text, name, column, unit)?;
+            (vec![topic], notes, FieldsOf::Messages)
         }
-    }
-
-    fn time(self) -> Option<TimeColumn> {
-        match self {
-            Log::Csv(time) => Some(time),
-            Log::Mcap | Log::Candump(_) => None,
+        Opened::Frames(_, mut frames) => {
+            let ((topics, _), notes) = survey_frames(&mut *frames, name, dbc)?;
+            (topics, notes, FieldsOf::Frames)
         }
-    }
+        Opened::Mdf(file) => {
+            let kind = if file.has_signals() { FieldsOf::Messages } else { FieldsOf::Frames };
+            let ((topics, _), notes) = survey_mdf(*file, name, dbc)?;
+            (topics, notes, kind)
+        }
+    })
+}
 
-    /// Why there is no column.
-    fn nothing_to_see(&self, name: &str, topics: &[TopicSurvey]) -> LogError {
-        let problem = topics.iter().find_map(|topic| Some((&topic.topic, topic.problem.as_ref()?)));
-        let what = match (self, problem) {
-            (Log::Candump(None), _) => {
-                "this is a CAN log; name the DBC file that describes its frames, so that their signals can be seen".into()
-            }
-            (Log::Candump(Some(_)), _) => "the DBC file describes none of the frames in this log".into(),
-            (_, Some((topic, problem))) => format!("none of its fields has numbers over time; topic {topic} {problem}"),
-            (_, None) => "none of its fields has numbers over time".to_owned(),
-        };
-        LogError::data(name, what)
-    }
+/// Why there is no column.
+fn nothing_to_see(kind: FieldsOf, dbc: Option<&Dbc>, name: &str, topics: &[TopicSurvey]) -> LogError {
+    let problem = topics.iter().find_map(|topic| Some((&topic.topic, topic.problem.as_ref()?)));
+    let what = match (kind, dbc, problem) {
+        (FieldsOf::Frames, None, _) => {
+            "this is a CAN log; name the DBC file that describes its frames, so that their signals can be seen".into()
+        }
+        (FieldsOf::Frames, Some(_), _) => "the DBC file describes none of the frames in this log".into(),
+        (_, _, Some((topic, problem))) => format!("none of its fields has numbers over time; topic {topic} {problem}"),
+        _ => "none of its fields has numbers over time".to_owned(),
+    };
+    LogError::data(name, what)
 }
 
 /// A field that becomes a column.

@@ -1,11 +1,15 @@
 //! The column of a CSV that is its time, by name and by how it grows.
 
 use std::io::Read;
+use std::path::Path;
 
 use super::Known;
 use crate::error::LogError;
 use crate::mapping::TimeUnit;
-use crate::rows::Rows;
+use crate::opened::Opened;
+use crate::source::log_name;
+use crate::table::{Table, number};
+use crate::table_time::{TablePlace, TableTime};
 
 /// Rows that are looked at.
 const ROWS: usize = 4096;
@@ -52,7 +56,11 @@ pub struct TimeColumn {
 /// A column as far as it is looked at.
 struct Head {
     name: String,
+    /// Unit in a row below the name; may be empty.
+    unit: String,
     values: Vec<f64>,
+    /// How many of them are dates or clocks.
+    stamps: usize,
 }
 
 impl TimeColumn {
@@ -88,6 +96,19 @@ impl TimeColumn {
     }
 }
 
+impl TimeColumn {
+    /// The time column of a CSV file; `None` where it is another kind of log, or none is found.
+    pub(crate) fn of_csv(path: &Path) -> Option<Self> {
+        if !path.is_file() {
+            return None;
+        }
+        match Opened::at(path, |_| {}) {
+            Ok(Opened::Csv(text)) => Self::find(text, &log_name(path), &Known::default()).ok(),
+            _ => None,
+        }
+    }
+}
+
 impl Head {
     /// How much the name speaks for a time: the whole of it, a word in it, nothing.
     fn rank(&self) -> u8 {
@@ -104,6 +125,9 @@ impl Head {
 
     /// As a time, if it can be one.
     fn as_time(&self, unit: Option<TimeUnit>) -> Option<TimeColumn> {
+        if self.stamps > 0 {
+            return self.as_stamps();
+        }
         let step = self.clock_step()?;
         let named = self.rank() > 0;
         // Row numbers grow as steadily as clocks do.
@@ -111,7 +135,7 @@ impl Head {
             return None;
         }
         let column = self.name.clone();
-        if let Some(unit) = unit.or_else(|| named_unit(&self.name)) {
+        if let Some(unit) = unit.or_else(|| named_unit(&self.unit)).or_else(|| named_unit(&self.name)) {
             let why = format!("`{column}` grows in steady steps and is in {}", unit.name());
             return Some(TimeColumn { column, unit, why, certain: named });
         }
@@ -124,6 +148,15 @@ impl Head {
         );
         // A name without a unit is of seconds by custom; another unit is a guess that the rate speaks for.
         Some(TimeColumn { column, unit, why, certain: certain && named && unit == TimeUnit::S })
+    }
+
+    /// A column of dates and clocks, which grow; each may stand in several rows.
+    fn as_stamps(&self) -> Option<TimeColumn> {
+        let grow = self.values.windows(2).all(|pair| pair[1] >= pair[0]);
+        let grown = self.values.last() > self.values.first();
+        let column = self.name.clone();
+        let why = format!("`{column}` has dates or times of the day, which are taken as UTC");
+        (grow && grown).then_some(TimeColumn { column, unit: TimeUnit::S, why, certain: true })
     }
 
     fn taken_as_told(&self, unit: Option<TimeUnit>) -> TimeColumn {
@@ -177,14 +210,30 @@ fn unit_of_step(step: f64) -> Option<(TimeUnit, bool)> {
 }
 
 fn heads(input: impl Read, name: &str) -> Result<Vec<Head>, LogError> {
-    let (mut rows, headers) = Rows::new(input).map_err(|what| LogError::data(name, what))?;
-    let mut heads: Vec<Head> = headers.into_iter().map(|name| Head { name, values: Vec::new() }).collect();
+    let mut table = Table::new(input, &[]).map_err(|what| LogError::data(name, what))?;
+    let units = table.units.iter().cloned().chain(std::iter::repeat(String::new()));
+    let heads = table.columns.iter().cloned().zip(units);
+    let mut heads: Vec<Head> =
+        heads.map(|(name, unit)| Head { name, unit, values: Vec::new(), stamps: 0 }).collect();
+    let mut times: Vec<Option<TableTime>> = heads
+        .iter()
+        .map(|head| TablePlace::in_column(&table, &head.name, Some(TimeUnit::S)).map(TableTime::new))
+        .collect();
     for _ in 0..ROWS {
-        let Some(row) = rows.next().map_err(|error| LogError::reading(name, error))? else { break };
+        let Some(row) = table.next().map_err(|error| LogError::reading(name, error))? else { break };
         let Ok(row) = row else { continue };
-        for (head, text) in heads.iter_mut().zip(row.fields()) {
-            let value = std::str::from_utf8(text).ok().and_then(|text| text.parse::<f64>().ok());
-            head.values.extend(value.filter(|value| value.is_finite()));
+        for (index, (head, time)) in heads.iter_mut().zip(&mut times).enumerate() {
+            let Some(text) = row.field(index) else { continue };
+            match number(text) {
+                Some(value) => head.values.extend(Some(value).filter(|value| value.is_finite())),
+                None => {
+                    // A date, or a clock: in s.
+                    if let Some(Ok(time_ns)) = time.as_mut().map(|time| time.of_row(row)) {
+                        head.values.push(time_ns as f64 * 1e-9);
+                        head.stamps += 1;
+                    }
+                }
+            }
         }
     }
     Ok(heads)

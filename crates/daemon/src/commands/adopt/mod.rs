@@ -49,7 +49,7 @@ use files::Folder;
                         seepd adopt press.mcap --out press-3 --from model   # after editing press-3/plant.toml\n  \
                         seepd replay --config press-3/seepd.toml today.mcap")]
 pub struct AdoptArguments {
-    /// Logs of the machine, healthy as far as you know: MCAP, CSV or candump
+    /// Logs of the machine, healthy as far as you know; a folder or a pattern is read as one
     #[arg(required = true, value_name = "LOG")]
     logs: Vec<PathBuf>,
     /// Folder for what comes of it
