@@ -1,4 +1,5 @@
 //! What is no FMU that can be used is refused in a sentence, before anything of it is loaded.
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use std::io::{Cursor, Write};
 
