@@ -7,7 +7,7 @@ libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     let Ok(dbc) = Dbc::parse(data, "fuzzed.dbc") else { return };
     for name in dbc.names().take(50).collect::<Vec<_>>() {
         let Ok(signal) = dbc.find(&name) else { continue };
-        let line = format!("(1.0) can0 {}#0123456789ABCDEF", signal.identifier);
+        let line = format!("(1.0) can0 {}#0123456789ABCDEF", signal.frames.identifier);
         let frame = Line::parse(line.as_bytes()).expect("a frame").frame;
         let _ = signal.read(&frame);
     }

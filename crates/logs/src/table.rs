@@ -170,14 +170,17 @@ fn names_before(before: &[Beginning], row: usize) -> Option<usize> {
     Some(above.unwrap_or(nearest))
 }
 
-/// Whether a line has units: each field is short, or in brackets.
+/// Whether a line has units: each field is short, or in brackets. A number is none, but for the 1 of what has no unit; and the first field, which
+/// mostly is the time, has one.
 fn are_units(fields: &[String]) -> bool {
+    let is_number = |field: &String| number(field.as_bytes()).is_some();
     let is_unit = |field: &String| {
         field.is_empty()
             || field.starts_with(['(', '['])
-            || field.chars().count() <= 5 && !field.contains(' ')
+            || field.chars().count() <= 5 && !field.contains(' ') && (field == "1" || !is_number(field))
     };
-    fields.iter().all(is_unit) && fields.iter().any(|field| !field.is_empty())
+    let begins_with_a_number = fields.first().is_some_and(is_number);
+    !begins_with_a_number && fields.iter().all(is_unit) && fields.iter().any(|field| !field.is_empty())
 }
 
 /// A number as people write it: `1.5`, `1,5`, `1.234,5`, `1,234.5`, `true`.
