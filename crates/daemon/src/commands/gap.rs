@@ -552,14 +552,14 @@ fn learned_laws(diagnosis: &Diagnosis) -> String {
         if text.is_empty() {
             text += "\na law without a name, learned from the log:\n";
         }
+        let share = format!("{:.1} %", 100.0 * law.probability);
+        let adopted = if law.adopted { "; the machine as chosen has it" } else { "" };
         text += &format!(
-            "  {:>6.1} %  {} over {}: {}\n            with it {:.1} % of the removable gap is gone{}\n",
-            100.0 * law.probability,
+            "  {share:>6}  {} over {}: {}\n          with it {:.1} % of the removable gap is gone{adopted}\n",
             law.place,
             law.argument,
             law.resembles,
-            100.0 * law.shrink,
-            if law.adopted { "; the machine as chosen has it" } else { "" }
+            100.0 * law.shrink
         );
     }
     text
