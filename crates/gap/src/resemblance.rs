@@ -196,7 +196,7 @@ mod tests {
         assert_eq!(speed(&|_| 700.0), "has the same sign both ways, is about the same at every speed");
         let place = |curve: &dyn Fn(f64) -> f64| told("learned_force_over_position", (0.1, 0.4), curve);
         assert_eq!(place(&|x| 2e3 * (x - 0.2)), "rises steadily with the position");
-        assert_eq!(place(&|x| 2e3 * (std::f64::consts::TAU * x / 0.1).sin()), "repeats every 101 mm");
+        assert_eq!(place(&|x| 2e3 * (std::f64::consts::TAU * x / 0.1).sin()), "repeats every 100 mm");
         let jam = |x: f64| 3e3 * (-((x - 0.25) / 0.02).powi(2)).exp();
         assert_eq!(told("learned_friction_over_position", (0.1, 0.4), jam), "acts mostly around 250 mm");
         let shaken = |t: f64| 800.0 * (std::f64::consts::TAU * 1.5 * t).sin();
