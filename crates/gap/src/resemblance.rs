@@ -11,9 +11,11 @@ const POWERS: [(f64, &str); 3] =
     [(1.0, "grows in proportion with"), (2.0, "grows with the square of"), (3.0, "grows with the cube of")];
 const NEAR_A_POWER: f64 = 0.4;
 /// Share of a curve's squares, beside its straight line, that one wave must hold.
-const ONE_WAVE: f64 = 0.6;
+const ONE_WAVE: f64 = 0.7;
+/// Share of a curve's change from end to end within which it has not begun.
+const QUIET: f64 = 0.1;
 /// Fewest periods that make a wave.
-const PERIODS: f64 = 1.5;
+const PERIODS: f64 = 2.0;
 
 /// Describes a curve by its values at knots from one end of the argument to the other; only visited knots count.
 pub(crate) fn resemblance(law: &LearnedLaw, ends: (f64, f64), values: &[f64], visited: &[bool]) -> String {
@@ -129,11 +131,36 @@ fn over_one_way(law: &LearnedLaw, points: &[(f64, f64)]) -> String {
     let peak = points.iter().max_by(|a, b| (a.1 - mean).abs().total_cmp(&(b.1 - mean).abs()));
     let Some((at, top)) = peak else { return String::new() };
     let above = |share: f64| points.iter().filter(|(_, value)| (value - mean) / (top - mean) > share).count();
+    if let Some(told) = setting_in(points, law.argument) {
+        return told;
+    }
     if above(0.5) as f64 <= 0.35 * n {
         return format!("acts mostly around {}", quantity(*at, law.argument));
     }
     let way = if steepness > 0.0 { "rises" } else { "falls" };
     format!("{way} with the {argument}, not evenly")
+}
+
+/// A curve that hardly changes from one end to some place, and most at the other end.
+fn setting_in(points: &[(f64, f64)], argument: Argument) -> Option<String> {
+    let (first, last) = (points.first()?, points.last()?);
+    let change = (last.1 - first.1).abs();
+    let is_quiet = |from: f64, value: f64| (value - from).abs() < QUIET * change;
+    let quiet_until = points.iter().take_while(|(_, value)| is_quiet(first.1, *value)).count();
+    let quiet_from = points.iter().rev().take_while(|(_, value)| is_quiet(last.1, *value)).count();
+    let half = points.len().div_ceil(3);
+    if quiet_until >= half {
+        let way = if last.1 > first.1 { "rises" } else { "falls" };
+        return Some(format!(
+            "sets in around {} and {way} from there",
+            quantity(points[quiet_until - 1].0, argument)
+        ));
+    }
+    let way = if last.1 > first.1 { "rises" } else { "falls" };
+    (quiet_from >= half).then(|| {
+        let end = points[points.len() - quiet_from].0;
+        format!("{way} up to {} and stays there", quantity(end, argument))
+    })
 }
 
 /// The period of the one wave that holds most of the values, if there is one.
@@ -202,6 +229,7 @@ mod tests {
         let shaken = |t: f64| 800.0 * (std::f64::consts::TAU * 1.5 * t).sin();
         assert_eq!(told("learned_force_over_time", (0.0, 10.0), shaken), "oscillates with 1.50 Hz");
         let regulator = |p: f64| -2e-9 * (p - 1.58e7).max(0.0);
-        assert!(told("learned_supply_over_pressure", (1.5e7, 1.65e7), regulator).starts_with("falls with"));
+        let falls = told("learned_supply_over_pressure", (1.5e7, 1.65e7), regulator);
+        assert_eq!(falls, "sets in around 158 bar and falls from there");
     }
 }
