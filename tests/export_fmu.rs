@@ -161,7 +161,7 @@ fn reference_the_monitor_in_fmpy_says_what_replay_says() {
     let log = folder.path().join("log.mcap");
     simulate(&log, &["--cycles", "2", "--leak-area", "1e-6"]);
     let lines = stdout(&seepd(["replay", "--json", text_of(&log)]));
-    let last = lines.lines().filter(|line| line.contains("seepd.cycle/1")).next_back().unwrap();
+    let last = lines.lines().rfind(|line| line.contains("seepd.cycle/1")).unwrap();
     let last: Value = serde_json::from_str(last).unwrap();
     let survey = fs::read(&log).unwrap();
     let mut commands = Vec::new();
