@@ -517,6 +517,17 @@ impl<A: SimulatedAxis> Fit<A> {
         self.age += 1;
     }
 
+    /// Half the slope of the cost with differences of that weight, priors included.
+    pub(crate) fn gradient(&self, weight: f64) -> DVector<f64> {
+        let mut gradient = self.jacobian.tr_mul(&self.residual) * weight;
+        for (index, parameter) in self.free.iter().enumerate() {
+            if let Some((centre, sigma)) = parameter.prior {
+                gradient[index] += (self.at[index] - centre) / (sigma * sigma);
+            }
+        }
+        gradient
+    }
+
     /// The nearest coordinates within the bounds.
     pub(crate) fn within_bounds(&self, at: &DVector<f64>) -> DVector<f64> {
         let each = self.free.iter().zip(at.iter()).map(|(free, at)| at.clamp(free.low, free.high));
@@ -525,12 +536,7 @@ impl<A: SimulatedAxis> Fit<A> {
 
     /// Where a damped step leads.
     fn step(&self, weight: f64, damping: f64) -> Option<DVector<f64>> {
-        let mut gradient = self.jacobian.tr_mul(&self.residual) * weight;
-        for (index, parameter) in self.free.iter().enumerate() {
-            if let Some((centre, sigma)) = parameter.prior {
-                gradient[index] += (self.at[index] - centre) / (sigma * sigma);
-            }
-        }
+        let gradient = self.gradient(weight);
         let mut matrix = normal_matrix(&self.free, &self.jacobian, weight);
         for index in 0..self.free.len() {
             matrix[(index, index)] *= 1.0 + damping;

@@ -290,12 +290,7 @@ impl<A: SimulatedAxis> Curve<A> {
     fn likeliest_step(&self) -> Step {
         let (plant, at) = (&self.plant, &self.at);
         let own = normal_matrix(&plant.free, &plant.jacobian, 1.0);
-        let mut own_gradient = plant.jacobian.tr_mul(&plant.residual);
-        for (index, free) in plant.free.iter().enumerate() {
-            if let Some((centre, sigma)) = free.prior {
-                own_gradient[index] += (plant.at[index] - centre) / (sigma * sigma);
-            }
-        }
+        let own_gradient = plant.gradient(1.0);
         let Some(own) = own.cholesky() else { return Step::nowhere() };
         let cross = plant.jacobian.tr_mul(&self.response);
         let solved_cross = own.solve(&cross);

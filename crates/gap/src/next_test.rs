@@ -5,7 +5,7 @@
 //! expected to give about which explanation is right, by the pairwise bound of Kolchinsky and Tracey (Entropy 19 (2017), α = 1/2). Tests stay
 //! within the places and speeds that the log shows, under the load with which its cycle begins.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use seepd_signals::Signal;
 use seepd_sim::DutyCycle;
 use seepd_sim::cycle::{DriveSample, LoadCorner, Move};
@@ -125,8 +125,8 @@ struct Tried {
 struct Answer {
     shown: DVector<f64>,
     response: DMatrix<f64>,
-    /// What the log has left open of them.
-    precision: DMatrix<f64>,
+    /// What the log has left open of them, and the test says of them: factored once, as each pair of answers asks for it.
+    precision: Option<Cholesky<f64, Dyn>>,
 }
 
 impl Tried {
@@ -224,7 +224,8 @@ impl Tried {
             .collect();
         let response =
             if columns.is_empty() { DMatrix::zeros(shown.len(), 0) } else { DMatrix::from_columns(&columns) };
-        Answer { shown, response, precision: normal_matrix(free, &candidate.fit.jacobian, 1.0) }
+        let precision = response.tr_mul(&response) + normal_matrix(free, &candidate.fit.jacobian, 1.0);
+        Answer { shown, response, precision: precision.cholesky() }
     }
 
     /// Where each candidate differs most from the most likely of the others, beyond what that one could show with its open parameters.
@@ -258,9 +259,13 @@ impl Answer {
     /// What another answer has beyond what this explanation can show with its open parameters, in expected errors.
     fn beyond(&self, other: &Answer) -> DVector<f64> {
         let difference = &other.shown - &self.shown;
-        let matrix = self.response.tr_mul(&self.response) + &self.precision;
-        let moved = matrix.cholesky().map(|factor| factor.solve(&self.response.tr_mul(&difference)));
-        moved.map_or_else(|| difference.clone(), |moved| &difference - &self.response * moved)
+        match &self.precision {
+            Some(factor) => {
+                let moved = factor.solve(&self.response.tr_mul(&difference));
+                difference - &self.response * moved
+            }
+            None => difference,
+        }
     }
 
     /// Squared distance of another answer from what this explanation can show, what it takes to move the parameters included.

@@ -148,16 +148,15 @@ fn setting_in(points: &[(f64, f64)], argument: Argument) -> Option<String> {
     let is_quiet = |from: f64, value: f64| (value - from).abs() < QUIET * change;
     let quiet_until = points.iter().take_while(|(_, value)| is_quiet(first.1, *value)).count();
     let quiet_from = points.iter().rev().take_while(|(_, value)| is_quiet(last.1, *value)).count();
-    let half = points.len().div_ceil(3);
-    if quiet_until >= half {
-        let way = if last.1 > first.1 { "rises" } else { "falls" };
+    let third = points.len().div_ceil(3);
+    let way = if last.1 > first.1 { "rises" } else { "falls" };
+    if quiet_until >= third {
         return Some(format!(
             "sets in around {} and {way} from there",
             quantity(points[quiet_until - 1].0, argument)
         ));
     }
-    let way = if last.1 > first.1 { "rises" } else { "falls" };
-    (quiet_from >= half).then(|| {
+    (quiet_from >= third).then(|| {
         let end = points[points.len() - quiet_from].0;
         format!("{way} up to {} and stays there", quantity(end, argument))
     })
