@@ -7,10 +7,13 @@ mod daemon;
 #[expect(dead_code, reason = "the tests of the commands use the rest")]
 mod support;
 
+mod demo_live;
 mod disk;
 mod duty_cycles;
 mod hostile_logs;
 mod live;
 mod network;
+mod plant_languages;
 mod relative;
 mod repairs;
+mod window;

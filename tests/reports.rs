@@ -76,7 +76,10 @@ fn a_report_of_a_log_without_cycles_says_so() {
     stdout(&seepd(["replay", text_of(&csv), "--quiet", "--html", text_of(&page)]));
     let page = fs::read_to_string(&page).unwrap();
     assert_self_contained(&page);
-    assert!(page.contains("There is no estimate: stuck."), "{page}");
+    assert!(
+        page.contains("There is no estimate: the command stood still while the machine had to move."),
+        "{page}"
+    );
 }
 
 #[test]

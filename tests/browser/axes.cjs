@@ -15,12 +15,12 @@ async function main() {
   page.on("pageerror", (error) => errors.push(String(error)));
   await page.goto(url);
   const choose = async (axis) => {
-    await page.waitForSelector("#axes button");
-    await page.evaluate((axis) => [...document.querySelectorAll("#axes button")].find((one) => one.textContent.startsWith(axis)).click(), axis);
+    await page.waitForSelector("#overview button");
+    await page.evaluate((axis) => [...document.querySelectorAll("#overview button")].find((one) => one.dataset.axis === axis).click(), axis);
     await page.waitForFunction((axis) => document.title.includes(axis), axis);
   };
   const listed = () => page.locator("#cycle-list li").count();
-  const pictures = () => page.evaluate(() => ["cycles", "trend", "live"].map((id) => document.getElementById(id).toDataURL()));
+  const pictures = () => page.evaluate(() => ["cycle", "trend", "live"].map((id) => document.getElementById(id).toDataURL()));
   // The silent axis stands first and is chosen by itself: its pictures are the empty ones.
   await page.waitForFunction(() => document.title.includes("silent"));
   const empty = await pictures();
@@ -36,7 +36,7 @@ async function main() {
   // An order that is not taken is told.
   const dialog = page.waitForEvent("dialog");
   await page.route("**/acknowledge", (route) => route.fulfill({ status: 503, json: { error: "try again" } }));
-  page.click("#acknowledge");
+  page.click("#acknowledge button");
   check((await dialog).message() === "try again", "the refusal is not told");
   await (await dialog).accept();
   await choose("silent");

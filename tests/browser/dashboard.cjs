@@ -23,7 +23,7 @@ async function main() {
     // The live curve is drawn: its canvas has more than ticks and grid.
     const inked = () => page.evaluate(() => {
       const canvas = document.getElementById("live"), pen = canvas.getContext("2d");
-      const accent = getComputedStyle(document.documentElement).getPropertyValue("--accent").trim();
+      const accent = getComputedStyle(document.documentElement).getPropertyValue("--a").trim();
       const [r, g, b] = [1, 3, 5].map((at) => parseInt(accent.slice(at, at + 2), 16));
       const { data } = pen.getImageData(0, 0, canvas.width, canvas.height);
       let count = 0;
@@ -33,11 +33,11 @@ async function main() {
     for (let tries = 0; tries < 50 && await inked() < 50; tries++) await page.waitForTimeout(200);
     check(await inked() >= 50, name + ": the live command is not drawn");
     if (name === "desk") {
-      check((await page.textContent("#latched")).includes("not acknowledged"), "the latched flag is not told");
-      await page.click("#acknowledge");
-      await page.waitForFunction(() => document.getElementById("latched").textContent.endsWith("(acknowledged)"));
+      check((await page.textContent("#latched")).includes("Nobody has acknowledged it"), "the latched flag is not told");
+      await page.click("#acknowledge button");
+      await page.waitForFunction(() => document.getElementById("acknowledged").textContent.includes(", acknowledged"));
       await page.waitForFunction(() => document.getElementById("events").textContent.includes("acknowledged"));
-      check(await page.isHidden("#acknowledge"), "the button stays");
+      check(await page.isHidden("#acknowledge"), "the form stays");
     }
     const wide = await page.evaluate(() => document.documentElement.scrollWidth - document.documentElement.clientWidth);
     check(wide <= 0, name + ": the page is " + wide + " px too wide");

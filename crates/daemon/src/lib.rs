@@ -22,11 +22,14 @@ pub mod journal;
 #[cfg(feature = "live")]
 pub mod live;
 pub mod output;
+#[cfg(feature = "live")]
+mod private_folder;
 pub mod progress;
 mod quantity;
 pub mod reasons;
 pub mod repair_log;
 pub mod sink;
+mod verdict;
 
 pub use cli::main;
 pub use failure::Failure;

@@ -3,11 +3,13 @@
 
 use std::fmt;
 
+use serde::Serialize;
+
 /// Reason of an axis that could not be started.
 pub const UNUSABLE_CONFIGURATION: &str = "unusable_configuration";
 
 /// A reason, explained.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Explanation {
     /// Its name in messages, files and metrics.
     pub name: &'static str,
@@ -96,7 +98,7 @@ pub const ALL: [Explanation; 18] = [
         meaning: "the command stood still while the machine had to move",
         cause: "The machine is off or in manual mode, the controller holds its output, or the logger repeats the last value when the connection is lost.",
         check: "Look at the command around the cycle: `seepd replay --html report.html LOG`. Does the machine run at that time?",
-        cure: "None where the machine rests: the estimate comes back with its cycles. Else see to the connection between controller and logger.",
+        cure: "Nothing, where the machine rests: the estimate comes back with its cycles. Else see to the connection between controller and logger.",
     },
     Explanation {
         name: "out_of_order",
@@ -110,7 +112,7 @@ pub const ALL: [Explanation; 18] = [
         meaning: "the same cycle came once more",
         cause: "Two logs overlap, a file was named twice, or two senders use one CAN identifier.",
         check: "Compare the start times of the cycles: `seepd replay --json LOG`.",
-        cure: "None is needed: the first one counts. For a bus with two senders, filter by identifier in `[signals.command]`.",
+        cure: "Nothing needs to be done: the first one counts. For a bus with two senders, filter by identifier in `[signals.command]`.",
     },
     Explanation {
         name: "gap",
@@ -131,7 +133,7 @@ pub const ALL: [Explanation; 18] = [
         meaning: "no complete cycle has come yet",
         cause: "The program has just been started, or the log is shorter than a cycle.",
         check: "Wait for two periods, or read a longer log.",
-        cure: "None is needed. If it stays, it becomes `no_cycle_found`.",
+        cure: "Wait: it comes by itself. If it does not, this becomes `no_cycle_found`.",
     },
     Explanation {
         name: "no_cycle_found",

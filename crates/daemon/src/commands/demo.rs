@@ -13,6 +13,8 @@ use seepd_sim::MachineSpec;
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 
+#[cfg(feature = "live")]
+use super::live_demo::{self, LiveDemoArguments};
 use super::simulate::{SimulateArguments, write_log};
 use crate::cli::Outcome;
 use crate::config::AxisConfig;
@@ -24,9 +26,9 @@ use crate::sink::terminal::{self, Colour};
 /// Simulate a press whose seal wears, replay its log, and leave the log and a page with plots
 ///
 /// Simulates a press, writes its log, replays that log with the embedded model, compares the estimate with the truth, says when the flags
-/// rose, and leaves the log and a page with plots.
+/// rose, and leaves the log and a page with plots. With --live the press is watched by the daemon instead, on its dashboard.
 #[derive(Debug, Args)]
-#[command(after_help = "Example:\n  seepd demo --folder /tmp/demo")]
+#[command(after_help = "Examples:\n  seepd demo --folder /tmp/demo\n  seepd demo --live")]
 pub struct DemoArguments {
     /// Folder for the log and the page; made if it does not exist
     #[arg(long, default_value = "seepd-demo", value_name = "FOLDER")]
@@ -39,6 +41,9 @@ pub struct DemoArguments {
     seed: u64,
     #[command(flatten)]
     overwrite: OverwriteArguments,
+    #[cfg(feature = "live")]
+    #[command(flatten)]
+    live: LiveDemoArguments,
 }
 
 /// Share of the cycles before the seal begins to wear.
@@ -57,6 +62,10 @@ const SHOWN_EVERY: u64 = 10;
 /// # Errors
 /// [`Failure`] where the folder cannot be written.
 pub fn run(arguments: &DemoArguments) -> Result<Outcome, Failure> {
+    #[cfg(feature = "live")]
+    if arguments.live.live {
+        return live_demo::run(&arguments.live, arguments.seed);
+    }
     fs::create_dir_all(&arguments.folder).map_err(|error| Failure::writing(&arguments.folder, error))?;
     let mut outputs = Outputs::new(arguments.overwrite, []);
     let log = outputs.claim(&arguments.folder.join("press.mcap"))?;

@@ -23,6 +23,8 @@ pub mod gap;
 pub mod init;
 pub mod inspect;
 pub mod learn_baseline;
+#[cfg(all(feature = "live", feature = "simulate"))]
+pub mod live_demo;
 #[cfg(feature = "gap")]
 pub(crate) mod next_test;
 pub mod reading;

@@ -294,6 +294,7 @@ impl Replay {
             alarm: &self.config.alarm,
             area_m2_per_lpm: 1.0 / self.pipeline.config().flow_lpm(1.0),
             operating_hours_per_year: self.config.operating_hours_per_year,
+            energy: &self.config.energy,
             baselines: &baselines,
         };
         page.render()

@@ -1,8 +1,5 @@
 //! `seepd test-sinks`: a marked test alarm through each sink.
 
-use std::fs::{self, DirBuilder};
-use std::io;
-use std::os::unix::fs::DirBuilderExt;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -18,8 +15,10 @@ use crate::clock::Clock;
 use crate::config::{CanOutConfig, DaemonConfig, HttpConfig, MqttConfig, RecordingConfig};
 use crate::failure::{Code, Failure};
 use crate::hub::{AxisStatus, Hub, Kind};
-use crate::live::{run_name, state_folder};
+use crate::live::state_folder;
+use crate::private_folder::PrivateFolder;
 use crate::sink::can::{self, Layout};
+use crate::sink::influx;
 use crate::sink::mqtt::{self, Broker};
 use crate::sink::recording;
 use crate::sink::terminal::print;
@@ -30,7 +29,8 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// Send a marked test alarm through each sink
 ///
 /// MQTT gets a message on PREFIX/AXIS/test that the broker must confirm; CAN the configured frame with the flag severe and no estimate,
-/// which no real leak gives; the recording a file with the test. For HTTP, the port must answer or be free.
+/// which no real leak gives; the recording a file with the test; InfluxDB a line of a measurement of its own, which nobody
+/// confirms. For HTTP, the port must answer or be free.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd test-sinks --config /etc/seepd/seepd.toml")]
 pub struct TestSinksArguments {
@@ -97,6 +97,9 @@ async fn test_all(config: &DaemonConfig) -> Vec<SinkTest> {
     if let Some(recording) = &config.sinks.recording {
         note(recording::SINK.into(), test_recording(recording, config, &axis).await);
     }
+    if let Some(influx) = &config.sinks.influx {
+        note(influx::SINK.into(), influx::test(influx, &axis).await);
+    }
     if let Some(http) = &config.sinks.http {
         note("http".into(), test_http(http).await);
     }
@@ -105,12 +108,12 @@ async fn test_all(config: &DaemonConfig) -> Vec<SinkTest> {
 
 async fn test_mqtt(config: &MqttConfig, axis: &str) -> Result<String, String> {
     let hub = Hub::new("test".into());
-    let spool =
-        PrivateFolder::make().map_err(|error| format!("no folder could be made for the test: {error}"))?;
+    let spool = PrivateFolder::make("test-sinks")
+        .map_err(|error| format!("no folder could be made for the test: {error}"))?;
     // A name of its own: a broker drops the older of two clients with one name, and that would be the daemon.
     let client_id = Some(format!("seepd-test-{}", std::process::id()));
     let config = MqttConfig { client_id, ..config.clone() };
-    let broker = Broker::new(&config, &spool.0, Arc::clone(&hub)).map_err(|failure| failure.message)?;
+    let broker = Broker::new(&config, spool.path(), Arc::clone(&hub)).map_err(|failure| failure.message)?;
     let (stop, stopped) = watch::channel(false);
     let task = tokio::spawn(broker.run_without_presence(stopped));
     tokio::task::yield_now().await;
@@ -131,24 +134,6 @@ async fn test_mqtt(config: &MqttConfig, axis: &str) -> Result<String, String> {
     match confirmed {
         Ok(()) => Ok(format!("the broker confirmed {}/{axis}/{}", config.prefix, Kind::Test.name())),
         Err(_) => Err(format!("the broker confirmed nothing within {} s: {last}", PATIENCE.as_secs())),
-    }
-}
-
-/// A folder that nobody else has made, can foretell or can write into; it goes with the test. Others write into the temporary folder,
-/// and a link that they put there must not be followed, by root least of all.
-struct PrivateFolder(PathBuf);
-
-impl PrivateFolder {
-    fn make() -> io::Result<Self> {
-        let path = std::env::temp_dir().join(format!("seepd-test-sinks-{}", run_name()));
-        DirBuilder::new().mode(0o700).create(&path)?;
-        Ok(PrivateFolder(path))
-    }
-}
-
-impl Drop for PrivateFolder {
-    fn drop(&mut self) {
-        let _ = fs::remove_dir_all(&self.0);
     }
 }
 
@@ -194,21 +179,5 @@ async fn test_http(config: &HttpConfig) -> Result<String, String> {
             Ok(_) => Ok(format!("{} answers", config.listen)),
             Err(_) => Err(format!("{} cannot be opened: {bound}", config.listen)),
         },
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use std::os::unix::fs::MetadataExt;
-
-    #[test]
-    fn the_test_has_a_folder_of_its_own_that_goes_with_it() {
-        let (one, other) = (PrivateFolder::make().unwrap(), PrivateFolder::make().unwrap());
-        assert_ne!(one.0, other.0);
-        assert_eq!(fs::metadata(&one.0).unwrap().mode() & 0o777, 0o700);
-        let path = one.0.clone();
-        drop(one);
-        assert!(!path.exists());
     }
 }

@@ -33,6 +33,8 @@ pub struct AxisConfig {
     pub reference_dp_pa: f64,
     /// Hours that the machine runs in a year, for the energy that a leak costs.
     pub operating_hours_per_year: f64,
+    /// What energy costs.
+    pub energy: EnergyConfig,
     /// Name of a CSV file's time column.
     pub time_column: String,
     /// Unit of that column; absent: what its name ends in, such as `time_ms`, else seconds.
@@ -66,6 +68,7 @@ impl Default for AxisConfig {
             duty_cycles: Vec::new(),
             reference_dp_pa: REFERENCE_DP_PA,
             operating_hours_per_year: HOURS_PER_YEAR,
+            energy: EnergyConfig::default(),
             time_column,
             time_unit: None,
             sample_rate_hz: None,
@@ -77,6 +80,44 @@ impl Default for AxisConfig {
             source: SourceConfig::default(),
             selection: Selection::default(),
         }
+    }
+}
+
+/// `[energy]`: what energy costs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct EnergyConfig {
+    /// Price of a kilowatt-hour; absent: what a leak costs is not told.
+    pub price_per_kwh: Option<f64>,
+    /// Its currency, as it is to be written.
+    pub currency: String,
+}
+
+impl Default for EnergyConfig {
+    fn default() -> Self {
+        EnergyConfig { price_per_kwh: None, currency: "EUR".into() }
+    }
+}
+
+/// Longest currency, characters.
+const LONGEST_CURRENCY: usize = 8;
+
+impl EnergyConfig {
+    fn check(&self) -> Result<(), String> {
+        if let Some(price) = self.price_per_kwh.filter(|price| !(0.0..=1e6).contains(price)) {
+            return Err(format!("energy.price_per_kwh is {price}; it must lie in 0 … 1e6"));
+        }
+        let length = self.currency.chars().count();
+        if !(1..=LONGEST_CURRENCY).contains(&length) || self.currency.chars().any(char::is_control) {
+            let shown = self.currency.escape_debug();
+            return Err(format!("energy.currency is `{shown}`; it has 1 … {LONGEST_CURRENCY} characters"));
+        }
+        Ok(())
+    }
+
+    /// What that many kWh cost, rounded to whole units, with the currency; nothing without a price.
+    pub fn cost(&self, energy_kwh: f64) -> Option<String> {
+        self.price_per_kwh.map(|price| format!("{:.0} {}", price * energy_kwh, self.currency))
     }
 }
 
@@ -210,6 +251,7 @@ impl AxisConfig {
                 "baseline.learn_cycles is {learned}; it must be 0 or lie in {LEAST_CYCLES} … {MOST_CYCLES}"
             ));
         }
+        self.energy.check()?;
         self.check_duty_cycles()?;
         if self.is_relative() && (self.model.is_some() || !self.duty_cycles.is_empty()) {
             return Err("monitor.kind is `relative`, which takes no model: leave out `model` and `duty_cycles`, or the kind".into());

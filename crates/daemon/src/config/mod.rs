@@ -11,11 +11,12 @@ use serde::Deserialize;
 use crate::failure::Failure;
 
 pub use axis::{
-    AxisConfig, BaselineConfig, DutyCycleConfig, KindConfig, MonitorKind, Pace, SourceConfig, embedded_model,
-    load_model,
+    AxisConfig, BaselineConfig, DutyCycleConfig, EnergyConfig, KindConfig, MonitorKind, Pace, SourceConfig,
+    embedded_model, load_model,
 };
 pub use sinks::{
-    CanOutConfig, CanOutField, CanValue, HttpConfig, MqttConfig, MqttVersion, RecordingConfig, SinksConfig,
+    CanOutConfig, CanOutField, CanValue, HttpConfig, InfluxConfig, MqttConfig, MqttVersion, RecordingConfig,
+    SinksConfig,
 };
 
 /// The content of `seepd.toml`.

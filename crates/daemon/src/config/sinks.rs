@@ -21,6 +21,8 @@ pub struct SinksConfig {
     pub can_out: Vec<CanOutConfig>,
     /// MCAP files of what came in and what was said.
     pub recording: Option<RecordingConfig>,
+    /// InfluxDB's line protocol.
+    pub influx: Option<InfluxConfig>,
 }
 
 /// `[http]`: dashboard, JSON, metrics, health.
@@ -87,6 +89,8 @@ pub struct MqttConfig {
     pub key_file: Option<PathBuf>,
     /// Events kept on disk while the broker is away; the oldest go first.
     pub spool_events: usize,
+    /// First level of the topics under which Home Assistant is told of the axes, usually `homeassistant`; absent: it is not told.
+    pub home_assistant: Option<String>,
 }
 
 impl Default for MqttConfig {
@@ -104,6 +108,7 @@ impl Default for MqttConfig {
             certificate_file: None,
             key_file: None,
             spool_events: 20_000,
+            home_assistant: None,
         }
     }
 }
@@ -135,6 +140,13 @@ impl MqttConfig {
             return Err(format!(
                 "mqtt.prefix is `{}`; topics must not have #, + or control characters, or begin with $",
                 self.prefix
+            ));
+        }
+        if let Some(prefix) =
+            self.home_assistant.as_ref().filter(|prefix| prefix.is_empty() || prefix.contains(wrong))
+        {
+            return Err(format!(
+                "mqtt.home_assistant is `{prefix}`; topics must not have #, + or control characters"
             ));
         }
         if !(1..=1_000_000).contains(&self.spool_events) {
@@ -339,6 +351,44 @@ impl RecordingConfig {
     }
 }
 
+/// `[influx]`: InfluxDB's line protocol over UDP.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct InfluxConfig {
+    /// Host and port of what listens: Telegraf's `socket_listener`, InfluxDB 1, VictoriaMetrics.
+    pub udp: String,
+    /// Name of the measurement.
+    pub measurement: String,
+    /// Sent every so many seconds besides after each cycle.
+    pub period_s: f64,
+}
+
+impl Default for InfluxConfig {
+    fn default() -> Self {
+        InfluxConfig { udp: "localhost:8089".into(), measurement: "seepd".into(), period_s: 10.0 }
+    }
+}
+
+impl InfluxConfig {
+    fn check(&self) -> Result<(), String> {
+        let port = self.udp.rsplit_once(':').filter(|(host, _)| !host.is_empty());
+        if port.is_none_or(|(_, port)| port.parse::<u16>().is_err()) {
+            return Err(format!("influx.udp is `{}`; it must be HOST:PORT", self.udp.escape_debug()));
+        }
+        let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+        if self.measurement.is_empty() || !self.measurement.chars().all(is_plain) {
+            return Err(format!(
+                "influx.measurement is `{}`; it has letters, digits and . _ -",
+                self.measurement.escape_debug()
+            ));
+        }
+        if !(0.1..=3600.0).contains(&self.period_s) {
+            return Err(format!("influx.period_s is {}; it must lie in 0.1 … 3600", self.period_s));
+        }
+        Ok(())
+    }
+}
+
 /// Where a secret is: with the service's credentials where systemd has put one of that name there, else relative to the
 /// configuration.
 fn credential(folder: &Path) -> impl Fn(&mut PathBuf) {
@@ -351,7 +401,7 @@ fn credential(folder: &Path) -> impl Fn(&mut PathBuf) {
 
 impl SinksConfig {
     /// The tables' names: every field.
-    pub(super) const KEYS: &[&'static str] = &["http", "mqtt", "can_out", "recording"];
+    pub(super) const KEYS: &[&'static str] = &["http", "mqtt", "can_out", "recording", "influx"];
 
     /// Checks the tables beside the axes that they tell of.
     ///
@@ -360,6 +410,7 @@ impl SinksConfig {
     pub(super) fn check(&self, axes: &[AxisConfig]) -> Result<(), String> {
         self.mqtt.as_ref().map_or(Ok(()), MqttConfig::check)?;
         self.recording.as_ref().map_or(Ok(()), RecordingConfig::check)?;
+        self.influx.as_ref().map_or(Ok(()), InfluxConfig::check)?;
         for frame in &self.can_out {
             frame.check()?;
             let known = axes.iter().any(|axis| axis.axis == frame.axis);

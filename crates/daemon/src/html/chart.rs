@@ -11,12 +11,16 @@ const RIGHT: f64 = 14.0;
 const SECOND: f64 = 76.0;
 const TOP: f64 = 12.0;
 const BOTTOM: f64 = 42.0;
+/// Points that are nearer to each other are drawn as one.
+const STEP: f64 = 0.25;
 
 /// Width and height of a chart in its own units.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Size {
-    /// As wide as the page.
+    /// As wide as the page; a phone shows it [narrow](Size::Narrow).
     Wide,
+    /// As wide as a phone.
+    Narrow,
     /// Half as wide.
     Half,
     /// Three beside each other, without names at the axes.
@@ -27,6 +31,7 @@ impl Size {
     fn width(self) -> f64 {
         match self {
             Size::Wide => 920.0,
+            Size::Narrow => 370.0,
             Size::Half => 460.0,
             Size::Small => 300.0,
         }
@@ -35,7 +40,7 @@ impl Size {
     fn height(self) -> f64 {
         match self {
             Size::Wide => 300.0,
-            Size::Half => 270.0,
+            Size::Narrow | Size::Half => 270.0,
             Size::Small => 130.0,
         }
     }
@@ -228,14 +233,14 @@ impl Chart {
 
     /// The chart as a figure.
     pub fn render(&self) -> Markup {
-        let (width, height) = (self.size.width(), self.size.height());
         html! {
             figure {
-                @if self.size != Size::Wide { figcaption { (self.title) } }
-                svg viewBox=(format!("0 0 {width} {height}")) role="img" aria-label=(self.title) {
-                    (self.axes())
-                    @if let Some((label, factor)) = &self.right { (self.second_scale(label, *factor)) }
-                    @for layer in &self.layers { (self.layer(layer)) }
+                @if self.size == Size::Wide {
+                    (self.drawing("wide"))
+                    (Chart { size: Size::Narrow, ..self.clone() }.drawing("narrow"))
+                } @else {
+                    figcaption { (self.title) }
+                    (self.drawing("part"))
                 }
                 @if !self.key.is_empty() {
                     div.key {
@@ -244,6 +249,18 @@ impl Chart {
                         }
                     }
                 }
+            }
+        }
+    }
+
+    /// The drawing alone, of a class that tells where it is shown.
+    fn drawing(&self, class: &str) -> Markup {
+        let (width, height) = (self.size.width(), self.size.height());
+        html! {
+            svg class=(class) viewBox=(format!("0 0 {width} {height}")) role="img" aria-label=(self.title) {
+                (self.axes())
+                @if let Some((label, factor)) = &self.right { (self.second_scale(label, *factor)) }
+                @for layer in &self.layers { (self.layer(layer)) }
             }
         }
     }
@@ -323,11 +340,17 @@ impl Chart {
     }
 
     fn path(&self, points: impl Iterator<Item = (f64, f64)>, first: char) -> String {
-        let mut d = String::new();
-        for (index, (x, y)) in points.enumerate() {
-            let command = if index == 0 { first } else { 'L' };
+        let (mut d, mut last) = (String::new(), None);
+        for (x, y) in points {
+            let (x, y) = (self.px(x), self.py(y));
+            // Steps that nobody sees are left out.
+            if last.is_some_and(|(a, b): (f64, f64)| (x - a).abs() < STEP && (y - b).abs() < STEP) {
+                continue;
+            }
+            let command = if last.is_none() { first } else { 'L' };
             // Writing to a String does not fail.
-            let _ = write!(d, "{command}{:.1} {:.1}", self.px(x), self.py(y));
+            let _ = write!(d, "{command}{x:.1} {y:.1}");
+            last = Some((x, y));
         }
         d
     }

@@ -17,13 +17,11 @@ pub mod study;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-/// Colours and layout of every page. The chart's classes take their colours from here, so that pages follow the reader's
-/// light or dark setting, and paper gets the light one.
+/// Colours of reports and of the dashboard alike: they follow the reader's light or dark setting, and paper gets the light one. Texts have a
+/// contrast of 4.5 at least.
+const PALETTE: &str = include_str!("palette.css");
+/// Layout of every report. The chart's classes take their colours from the palette.
 const STYLE: &str = "
-:root{--ground:#fff;--text:#1c2430;--soft:#5d6b7c;--line:#d9dfe6;--panel:#f6f8fa;--a:#1f6feb;--b:#d1480f;--band:#1f6feb2e;
---healthy:#2e9e5b;--watch:#d9a300;--leak:#d9650f;--severe:#c42133;--no_estimate:#9aa5b1}
-@media screen and (prefers-color-scheme:dark){:root{--ground:#12171e;--text:#e4e9ef;--soft:#96a3b2;--line:#2d3743;--panel:#1a212a;
---a:#6aa8ff;--b:#ff9159;--band:#6aa8ff38;--healthy:#43b872;--watch:#e3b72d;--leak:#f0833a;--severe:#ef5568;--no_estimate:#6b7784}}
 *{box-sizing:border-box}body{margin:0;background:var(--ground);color:var(--text);font:16px/1.5 system-ui,'Segoe UI',Roboto,sans-serif}
 main{max-width:62rem;margin:0 auto;padding:2rem 1.25rem 3rem}h1{font-size:1.7rem;line-height:1.25;margin:0 0 .4rem}
 h2{font-size:1.15rem;margin:2.2rem 0 .3rem}p{margin:.3rem 0 .8rem;max-width:46rem}.soft{color:var(--soft)}
@@ -44,8 +42,9 @@ h3{font-size:1rem;margin:1.2rem 0 .4rem}ol{padding-left:1.3rem;max-width:46rem}f
 .key span::before{content:'';display:inline-block;width:1.4em;height:.25em;margin-right:.45em;vertical-align:middle;background:var(--c)}
 .key .wide::before{height:.8em}table{border-collapse:collapse;margin:.6rem 0;font-variant-numeric:tabular-nums;font-size:.95rem}
 th,td{text-align:left;padding:.3rem .9rem .3rem 0;border-bottom:1px solid var(--line)}td.number,th.number{text-align:right;white-space:nowrap}
-.tag{display:inline-block;white-space:nowrap;padding:0 .5em;border-radius:4px;color:#fff}footer{margin-top:2.5rem;font-size:.85rem;color:var(--soft)}
-.scroll{overflow-x:auto}@media screen and (max-width:40rem){.grid-2,.grid-3,.tiles{grid-template-columns:1fr}}
+.tag{display:inline-block;white-space:nowrap;padding:0 .5em;border-radius:4px;color:var(--on-flag)}footer{margin-top:2.5rem;font-size:.85rem;color:var(--soft)}
+.scroll{overflow-x:auto}svg.narrow{display:none}@media screen and (max-width:40rem){main{padding:1rem .8rem 2rem}h1{font-size:1.35rem}.grid-2,.grid-3{grid-template-columns:1fr}
+.tiles{grid-template-columns:repeat(auto-fit,minmax(9.5rem,1fr))}svg.wide{display:none}svg.narrow{display:block}figure{padding:.3rem .2rem}td,th{padding-right:.7rem}}
 @media print{main{padding:0;max-width:none}figure,tr,.tiles{break-inside:avoid}h2,h2+p{break-after:avoid}.tag{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
 ";
 
@@ -59,7 +58,7 @@ pub fn page(title: &str, body: &Markup) -> String {
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 meta name="color-scheme" content="light dark";
                 title { (title) }
-                style { (PreEscaped(STYLE)) }
+                style { (PreEscaped(PALETTE)) (PreEscaped(STYLE)) }
             }
             body {
                 main {

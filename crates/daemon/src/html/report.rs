@@ -6,15 +6,17 @@ use seepd_monitor::baseline::Baseline;
 use seepd_monitor::cause::condition::{growth_sentence, words_of};
 use seepd_monitor::cause::course::Severity;
 use seepd_monitor::event::{Flag, Summary};
-use seepd_monitor::reason::{NO_PLANT_MODEL, UNCONFIRMED};
+use seepd_monitor::reason::NO_PLANT_MODEL;
 use seepd_monitor::repair::{FIRST_DATE_NS, RepairVerdict};
 
 use super::chart::{Axis, Chart, Layer, Size};
 use super::flags::{self, colour};
 use super::page;
+use crate::config::EnergyConfig;
 use crate::quantity::{MM2_PER_M2, bar, mm2, mm2_interval};
 use crate::reasons::meaning;
 use crate::sink::html::{Curves, HtmlSink, Point, Why};
+use crate::verdict::Verdict;
 
 /// What the page shows.
 pub struct ReportPage<'a> {
@@ -30,6 +32,8 @@ pub struct ReportPage<'a> {
     pub area_m2_per_lpm: f64,
     /// Hours that the machine runs in a year.
     pub operating_hours_per_year: f64,
+    /// What energy costs.
+    pub energy: &'a EnergyConfig,
     /// Baselines on record by duty cycle, the newest last; the name is empty for the only one.
     pub baselines: &'a [(String, Vec<Baseline>)],
 }
@@ -103,27 +107,20 @@ impl ReportPage<'_> {
     fn verdict(&self) -> Markup {
         let summary = self.summary;
         let flag = summary.flag;
-        let why = summary.reason.map(|reason| format!(": {}", reason.replace('_', " "))).unwrap_or_default();
-        let text = match flag {
-            Flag::NoEstimate if summary.reason == Some(UNCONFIRMED) => {
-                "Too few estimates in a row lie above a threshold to raise a flag.".into()
-            }
-            Flag::NoEstimate => format!("There is no estimate{why}."),
-            Flag::Healthy if self.is_relative() => "The machine is as it was at its baseline.".into(),
-            Flag::Watch if self.is_relative() => "The machine is not as it was at its baseline.".into(),
-            Flag::Healthy if summary.size_withheld.is_some() => {
-                "Too few cycles have an estimate for a verdict on the machine.".into()
-            }
-            Flag::Healthy => "There is no leak that matters.".into(),
-            Flag::Watch => "There is a leak to keep an eye on.".into(),
-            Flag::Leak => "There is a leak: plan to replace the seal.".into(),
-            Flag::Severe => "There is a severe leak: the machine should not run with it.".into(),
+        let is_thin = flag == Flag::Healthy && !self.is_relative() && summary.size_withheld.is_some();
+        let Verdict { verdict, to_do } = Verdict::of(flag, summary.reason, self.is_relative());
+        let (text, to_do) = if is_thin {
+            ("Too few cycles have an estimate for a verdict on the machine.".to_owned(), None)
+        } else {
+            // Without an estimate the advice, which has seen the log, says more.
+            (verdict, (flag != Flag::NoEstimate || self.advice.is_none()).then_some(to_do))
         };
         html! {
             p {
                 span.tag style=(format!("background:{}", colour(flag))) { (flag.name().replace('_', " ")) } " " (text)
                 @if summary.highest_flag > flag { " The highest flag in this record was " (summary.highest_flag.name()) "." }
             }
+            @if let Some(to_do) = to_do { p { (to_do) } }
             @if let Some(condition) = &summary.condition { p { "Beside the seal: " (condition) } }
             @if let Some(advice) = self.advice { p { (advice) } }
         }
@@ -140,7 +137,7 @@ impl ReportPage<'_> {
                     div { b { (mm2(area)) " mm²" } span { "area of the same leak" } }
                     div { b { (format!("{:.0} W", loss.leak_power_w)) } span { "hydraulic power lost, Δp · Q at " (self.reference_bar()) " bar" } }
                     div { b { (format!("{:.0} kWh a year", loss.leak_energy_kwh_per_year)) }
-                        span { "at " (self.operating_hours_per_year) " hours a year" } }
+                        span { @if let Some(cost) = self.energy.cost(loss.leak_energy_kwh_per_year) { (cost) " a year, " } "at " (self.operating_hours_per_year) " hours a year" } }
                 }
                 @if let Some(last) = last {
                     div { b { (format!("{:.2} L/min", last.leak_flow_lpm)) } span { "last cycle; 90 % interval "

@@ -1,5 +1,6 @@
 //! What the axes tell and the sinks hear: the newest condition of everything, and each event once.
 
+mod course;
 mod order;
 mod publication;
 mod status;
@@ -15,18 +16,19 @@ use tokio::sync::{mpsc, watch};
 
 use crate::clock;
 
-pub use order::{NewRepair, NotTaken, Order};
+pub use course::{Course, HealthyCourse, PhaseSpan};
+pub use order::{NewRepair, NotTaken, Order, Signature};
 use publication::{Acknowledged, Envelope, Subscriber, TestAlarm};
 pub use publication::{Kind, Publication, Subscription};
 #[cfg(test)]
 pub(crate) use status::condition_for_tests;
 pub use status::{
-    AxisStatus, AxisView, BaselineStatus, Course, DutyCycleStatus, LIVE_POINTS, REPAIRS_TOLD, RelativeStatus,
-    SinkStatus, SourceHealth, SourceState, TrendPoint,
+    Acknowledgement, AxisStatus, AxisView, BaselineStatus, DutyCycleStatus, LIVE_POINTS, Money, REPAIRS_TOLD,
+    RelativeStatus, SinkStatus, SourceHealth, SourceState, Thresholds, TrendPoint,
 };
 
-/// Events other than cycles that are kept for who asks later.
-const HISTORY: usize = 50;
+/// Events other than cycles that are kept for who asks later, also over restarts.
+pub const HISTORY: usize = 200;
 
 struct KnownAxis {
     status: AxisStatus,
@@ -39,7 +41,8 @@ struct Inner {
     axes: BTreeMap<String, KnownAxis>,
     sinks: BTreeMap<String, SinkStatus>,
     subscribers: Vec<Subscriber>,
-    history: VecDeque<Arc<Publication>>,
+    /// Each as it was sent, JSON.
+    history: VecDeque<Arc<str>>,
     published: u64,
 }
 
@@ -114,10 +117,9 @@ impl Hub {
         self.lock().axes.get(name).map(|axis| look(&axis.view))
     }
 
-    /// Trends of all axes by name.
-    pub fn trends(&self) -> BTreeMap<String, Vec<TrendPoint>> {
-        let trend = |axis: &KnownAxis| axis.view.trend.iter().copied().collect();
-        self.lock().axes.iter().map(|(name, axis)| (name.clone(), trend(axis))).collect()
+    /// Something of the views of all axes, by name.
+    pub fn views<T>(&self, look: impl Fn(&AxisView) -> T) -> BTreeMap<String, T> {
+        self.lock().axes.iter().map(|(name, axis)| (name.clone(), look(&axis.view))).collect()
     }
 
     /// Conditions of all sinks.
@@ -157,9 +159,15 @@ impl Hub {
         Subscription { events, lost }
     }
 
-    /// The last events that are no cycles, oldest first.
-    pub fn history(&self) -> Vec<Arc<Publication>> {
+    /// The last events that are no cycles, oldest first, as they were sent: JSON.
+    pub fn history(&self) -> Vec<Arc<str>> {
         self.lock().history.iter().cloned().collect()
+    }
+
+    /// Takes up what an earlier run has told, oldest first.
+    pub fn recall(&self, told: impl IntoIterator<Item = String>) {
+        let mut inner = self.lock();
+        told.into_iter().for_each(|event| inner.remember(&event));
     }
 
     /// Publishes an event of the pipeline.
@@ -172,8 +180,9 @@ impl Hub {
     }
 
     /// Publishes that somebody took note.
-    pub fn publish_acknowledged(&self, axis: &str, latched: Option<Flag>, t_ns: i64) {
-        let event = Acknowledged { schema: "seepd.acknowledged/1", axis, latched, t_ns };
+    pub fn publish_acknowledged(&self, axis: &str, latched: Option<Flag>, by: &Acknowledgement) {
+        let (t_ns, who, note) = (by.t_ns, by.who.as_deref(), by.note.as_deref());
+        let event = Acknowledged { schema: "seepd.acknowledged/1", axis, latched, t_ns, who, note };
         self.publish(Kind::Acknowledged, axis, t_ns, &event);
     }
 
@@ -201,11 +210,17 @@ impl Hub {
         let publication = Arc::new(Publication { kind, axis: axis.to_owned(), t_ns, json, event_json });
         inner.subscribers.retain(|subscriber| subscriber.hand(&publication));
         if kind != Kind::Cycle {
-            if inner.history.len() >= HISTORY {
-                inner.history.pop_front();
-            }
-            inner.history.push_back(publication);
+            inner.remember(&publication.json);
         }
+    }
+}
+
+impl Inner {
+    fn remember(&mut self, event: &str) {
+        if self.history.len() >= HISTORY {
+            self.history.pop_front();
+        }
+        self.history.push_back(event.into());
     }
 }
 
@@ -232,13 +247,16 @@ mod tests {
     #[test]
     fn the_last_events_are_remembered_but_no_cycles() {
         let hub = Hub::new("test".into());
-        for t_ns in 0..60 {
-            hub.publish_test("press", t_ns);
-            hub.publish(Kind::Cycle, "press", t_ns, &t_ns);
+        hub.recall(["an older one".to_owned()]);
+        assert_eq!(hub.history(), ["an older one".into()]);
+        for number in 0..HISTORY + 10 {
+            hub.publish_test(&format!("press {number}"), 0);
+            hub.publish(Kind::Cycle, "cycle", 0, &number);
         }
         let history = hub.history();
-        assert_eq!((history.len(), history[0].t_ns, history[HISTORY - 1].t_ns), (HISTORY, 10, 59));
-        assert!(history.iter().all(|event| event.kind == Kind::Test));
+        assert_eq!(history.len(), HISTORY);
+        let is_of = |event: &str, number: usize| event.contains(&format!("\"axis\":\"press {number}\""));
+        assert!(history.iter().zip(10..).all(|(event, number)| is_of(event, number)));
     }
 
     #[test]
@@ -249,8 +267,10 @@ mod tests {
         let mut unusable = AxisStatus::new("unusable", 7e6);
         unusable.source.detail = Some("model.json: No such file".into());
         hub.add_axis(unusable, mpsc::channel(1).0);
-        let told =
-            |axis: &str| hub.order(axis, Order::Acknowledge).map_err(|not_taken| not_taken.to_string());
+        let told = |axis: &str| {
+            hub.order(axis, Order::Acknowledge(Signature::default()))
+                .map_err(|not_taken| not_taken.to_string())
+        };
         assert_eq!(told("busy"), Ok(()));
         assert_eq!(
             told("busy"),
@@ -258,7 +278,7 @@ mod tests {
         );
         assert_eq!(told("other"), Err("there is no axis other; the axes are busy, unusable".into()));
         assert_eq!(told("unusable"), Err("the axis unusable does not run: model.json: No such file".into()));
-        assert!(matches!(taken.try_recv(), Ok(Order::Acknowledge)));
+        assert!(matches!(taken.try_recv(), Ok(Order::Acknowledge(_))));
         assert_eq!(told("busy"), Ok(()));
         drop(taken);
         assert_eq!(told("busy"), Err("the axis busy does not run: its log has ended".into()));

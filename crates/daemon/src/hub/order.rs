@@ -11,11 +11,47 @@ use crate::repair_log;
 #[derive(Debug)]
 pub enum Order {
     /// Take note of the latched flag.
-    Acknowledge,
+    Acknowledge(Signature),
     /// Learn a new baseline from the next cycles: the seal has been replaced.
     Renew,
     /// Note that something was done to the machine.
     Repair(NewRepair),
+}
+
+/// Who takes note of a flag, as people say it themselves.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Signature {
+    /// Name.
+    pub who: Option<String>,
+    /// What else there is to say.
+    pub note: Option<String>,
+}
+
+impl Signature {
+    /// Reads one from JSON; nothing at all is nobody's.
+    ///
+    /// # Errors
+    /// One line that says what is wrong with it.
+    pub fn from_json(bytes: &[u8]) -> Result<Self, String> {
+        if bytes.iter().all(u8::is_ascii_whitespace) {
+            return Ok(Signature::default());
+        }
+        if bytes.len() > LONGEST_ENTRY {
+            return Err(format!("an acknowledgement has {LONGEST_ENTRY} bytes at most"));
+        }
+        let mut signature: Signature =
+            serde_json::from_slice(bytes).map_err(|error| format!("this is no acknowledgement: {error}"))?;
+        said(&mut signature.who);
+        said(&mut signature.note);
+        repair_log::check_texts(signature.who.as_deref(), signature.note.as_deref())?;
+        Ok(signature)
+    }
+}
+
+/// A form's empty field says nothing.
+fn said(text: &mut Option<String>) {
+    *text = text.take().filter(|text| !text.trim().is_empty());
 }
 
 /// An entry for the repair log, as a person gives it.
@@ -46,10 +82,7 @@ impl NewRepair {
         }
         let mut entry: NewRepair =
             serde_json::from_slice(bytes).map_err(|error| format!("this is no entry: {error}"))?;
-        for text in [&mut entry.at, &mut entry.who, &mut entry.note] {
-            // A form's empty field says nothing.
-            *text = text.take().filter(|text| !text.trim().is_empty());
-        }
+        [&mut entry.at, &mut entry.who, &mut entry.note].into_iter().for_each(said);
         repair_log::check_texts(entry.who.as_deref(), entry.note.as_deref())?;
         entry.at.as_deref().map_or(Ok(0), repair_log::parse_time)?;
         Ok(entry)

@@ -69,6 +69,10 @@ pub(super) struct Acknowledged<'a> {
     pub(super) axis: &'a str,
     pub(super) latched: Option<Flag>,
     pub(super) t_ns: i64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) who: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) note: Option<&'a str>,
 }
 
 /// `seepd.test/1`: a marked test alarm.

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use seepd_monitor::alarm::AlarmConfig;
 use seepd_monitor::baseline::CusumFinding;
 use seepd_monitor::cause::course::Condition;
 use seepd_monitor::energy::Loss;
@@ -11,6 +12,9 @@ use seepd_monitor::reason::NO_CYCLE_YET;
 use seepd_monitor::relative::RelativeMonitor;
 use seepd_monitor::repair::Repaired;
 use serde::{Deserialize, Serialize};
+
+use super::course::{Course, HealthyCourse, PhaseSpan};
+use crate::verdict::Verdict;
 
 /// Cycles whose course is kept for the dashboard.
 const COURSES: usize = 6;
@@ -30,6 +34,13 @@ pub struct AxisStatus {
     pub axis: String,
     /// Condition now.
     pub flag: Flag,
+    /// Since when it is so, ns on the daemon's line of time; null where it was so when the axis was first watched.
+    pub since_ns: Option<i64>,
+    /// Time of the newest sample, ns on the daemon's line of time.
+    pub t_sample_ns: Option<i64>,
+    /// The condition in words, with what to do.
+    #[serde(flatten)]
+    pub verdict: Verdict,
     /// Why there is no estimate.
     pub reason: Option<&'static str>,
     /// What was seen and what to do, where there is no estimate.
@@ -42,6 +53,10 @@ pub struct AxisStatus {
     pub latched: Option<Flag>,
     /// Whether somebody has taken note of it.
     pub acknowledged: bool,
+    /// Who has, and when; null where nobody has.
+    pub acknowledgement: Option<Acknowledgement>,
+    /// Flows from which the flags rise, L/min.
+    pub thresholds: Thresholds,
     /// Whether the input has gone.
     pub stale: bool,
     /// Last estimate, m².
@@ -57,6 +72,9 @@ pub struct AxisStatus {
     /// What it costs; its fields are absent where there is no estimate.
     #[serde(flatten)]
     pub loss: Option<Loss>,
+    /// The energy's price in a year; absent where no price is configured, or there is no estimate.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub leak_cost_per_year: Option<Money>,
     /// Projected time until the flag `leak`, s; null where nothing is projected.
     pub time_to_leak_s: Option<f64>,
     /// The shortest and the longest that the points so far admit, s.
@@ -101,12 +119,17 @@ impl AxisStatus {
             schema: "seepd.status/1",
             axis: axis.into(),
             flag: Flag::NoEstimate,
+            since_ns: None,
+            t_sample_ns: None,
+            verdict: Verdict::of(Flag::NoEstimate, Some(NO_CYCLE_YET), false),
             reason: Some(NO_CYCLE_YET),
             advice: None,
             observed_period_s: None,
             level: Flag::Healthy,
             latched: None,
             acknowledged: false,
+            acknowledgement: None,
+            thresholds: Thresholds::of(&AlarmConfig::default()),
             stale: false,
             leak_area_m2: None,
             interval90_m2: None,
@@ -114,6 +137,7 @@ impl AxisStatus {
             reference_dp_pa,
             lpm_per_m2: 0.0,
             loss: None,
+            leak_cost_per_year: None,
             time_to_leak_s: None,
             time_to_leak_range_s: None,
             baseline: BaselineStatus::default(),
@@ -132,6 +156,45 @@ impl AxisStatus {
             source: SourceHealth::default(),
         }
     }
+}
+
+/// Flows from which the flags rise, L/min at the reference pressure difference.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Thresholds {
+    /// Watch.
+    pub watch_lpm: f64,
+    /// Leak.
+    pub leak_lpm: f64,
+    /// Severe.
+    pub severe_lpm: f64,
+}
+
+impl Thresholds {
+    /// Those of a configuration.
+    pub fn of(alarm: &AlarmConfig) -> Self {
+        let AlarmConfig { watch_lpm, leak_lpm, severe_lpm, .. } = *alarm;
+        Thresholds { watch_lpm, leak_lpm, severe_lpm }
+    }
+}
+
+/// An amount of money.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Money {
+    /// How much.
+    pub amount: f64,
+    /// Of what, as in the configuration.
+    pub currency: String,
+}
+
+/// Who took note of a latched flag.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Acknowledgement {
+    /// When, ns on the daemon's line of time.
+    pub t_ns: i64,
+    /// Who, as people say it themselves.
+    pub who: Option<String>,
+    /// What they noted.
+    pub note: Option<String>,
 }
 
 /// Oil lost on the rod side, growing.
@@ -249,21 +312,6 @@ pub struct TrendPoint {
     pub flag: Flag,
 }
 
-/// The command's course over a cycle.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Course {
-    /// Number of the cycle.
-    pub cycle: u64,
-    /// Condition after it.
-    pub flag: Flag,
-    /// Why it was rejected.
-    pub reason: Option<&'static str>,
-    /// Estimate as a flow, L/min.
-    pub leak_flow_lpm: Option<f64>,
-    /// Time from the cycle's start (s) and mean command over the 20 ms around it (share of full command).
-    pub points: Vec<(f32, f32)>,
-}
-
 /// What the dashboard draws of an axis.
 #[derive(Debug, Clone, Default)]
 pub struct AxisView {
@@ -271,6 +319,10 @@ pub struct AxisView {
     pub trend: VecDeque<TrendPoint>,
     /// The last cycles.
     pub courses: VecDeque<Course>,
+    /// What a healthy cycle is like.
+    pub healthy: HealthyCourse,
+    /// The duty cycle's stretches.
+    pub phases: Vec<PhaseSpan>,
     /// The command lately: time on the line (ns), mean over 20 ms.
     pub live: VecDeque<(i64, f32)>,
 }

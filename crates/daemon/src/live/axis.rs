@@ -25,10 +25,12 @@ use crate::advice::advice;
 use crate::clock::Clock;
 use crate::config::{AxisConfig, Pace};
 use crate::hub::{
-    AxisStatus, BaselineStatus, Course, DutyCycleStatus, Hub, LIVE_POINTS, NewRepair, Order, REPAIRS_TOLD,
-    RelativeStatus, SourceState, TrendPoint,
+    Acknowledgement, AxisStatus, BaselineStatus, Course, DutyCycleStatus, HealthyCourse, Hub, LIVE_POINTS,
+    Money, NewRepair, Order, PhaseSpan, REPAIRS_TOLD, RelativeStatus, Signature, SourceState, Thresholds,
+    TrendPoint,
 };
 use crate::sink::recording::Recorder;
+use crate::verdict::Verdict;
 
 /// A millisecond, ns.
 const MS_NS: i64 = 1_000_000;
@@ -91,11 +93,14 @@ pub(super) async fn run(
         pipeline.restore(Alarm::from(state.alarm));
         pipeline.restore_repairs(state.repairs);
         reporter.latch = state.latch;
+        reporter.acknowledgement = state.acknowledgement;
+        reporter.since_ns = state.since_ns;
         reporter.estimate = state.estimate;
     } else if config.source.log.is_none() {
         // The machine as it is found: what was done to it before is no news.
         reporter.book.skip_until(context.clock.now_ns());
     }
+    context.hub.update_axis(&config.axis, |_, view| view.phases = phases(&pipeline));
     reporter.tell(&pipeline, &source);
     let mut samples = Vec::with_capacity(1024);
     loop {
@@ -105,7 +110,7 @@ pub(super) async fn run(
             _ = stop.changed() => break false,
             Some(order) = orders.recv() => {
                 match order {
-                    Order::Acknowledge => reporter.acknowledge(&pipeline),
+                    Order::Acknowledge(signature) => reporter.acknowledge(&pipeline, signature),
                     Order::Renew => reporter.renew(&mut pipeline),
                     Order::Repair(entry) => reporter.repair(&mut pipeline, entry),
                 }
@@ -132,11 +137,25 @@ pub(super) async fn run(
     }
 }
 
+/// Stretches of the duty cycle, of several that of the first.
+fn phases(pipeline: &Pipeline) -> Vec<PhaseSpan> {
+    let first = pipeline.config().duty_cycles.first();
+    let phases = first.map_or(&[][..], |first| &first.model.file().cycle.phases);
+    phases
+        .iter()
+        .map(|phase| PhaseSpan { name: phase.name.clone(), from_s: phase.from_s, to_s: phase.to_s })
+        .collect()
+}
+
 /// Between pipeline and hub.
 struct AxisReporter<'a> {
     config: &'a AxisConfig,
     context: &'a AxisContext,
     latch: Latch,
+    /// Who acknowledged what is latched.
+    acknowledgement: Option<Acknowledgement>,
+    /// Since when the flag is what it is, ns.
+    since_ns: Option<i64>,
     /// Baselines on disk, one record a duty cycle.
     records: Vec<BaselineRecord>,
     /// The same of an axis without a model.
@@ -151,8 +170,9 @@ struct AxisReporter<'a> {
     duty_cycle: usize,
     time_to_leak: Option<TimeTo>,
     points: Points,
-    /// Time of the sample that the pipeline is working on.
+    /// Time of the sample that the pipeline is working on; before the first one, of the start.
     sample_ns: i64,
+    has_sample: bool,
     last_sample_ns: i64,
     told_ns: i64,
     stale: bool,
@@ -195,6 +215,8 @@ impl<'a> AxisReporter<'a> {
             config,
             context,
             latch: Latch::default(),
+            acknowledgement: None,
+            since_ns: None,
             records: pipeline.monitors().iter().enumerate().map(record).collect(),
             relative: pipeline.relative().map(|_| RelativeRecord::open(&context.folder, config)),
             book: RepairBook::open(&context.folder, config),
@@ -204,6 +226,7 @@ impl<'a> AxisReporter<'a> {
             time_to_leak: None,
             points: Points::new(cycle_points as usize),
             sample_ns: now_ns,
+            has_sample: false,
             last_sample_ns: now_ns,
             told_ns: 0,
             stale: false,
@@ -237,6 +260,7 @@ impl<'a> AxisReporter<'a> {
         for sample in samples {
             self.points.take(sample);
             self.sample_ns = sample.time_ns;
+            self.has_sample = true;
             if let Some(recorder) = recorder.as_ref() {
                 recorder.sample(&self.config.axis, sample, pace);
             }
@@ -258,6 +282,7 @@ impl<'a> AxisReporter<'a> {
         match event {
             Event::Cycle(line) => self.note_cycle(line),
             Event::Flag(flag) => {
+                self.since_ns = Some(flag.t_ns);
                 let (from, to) = (flag.flag_from.name(), flag.flag_to.name());
                 let reason = flag.evidence.reason;
                 if flag.flag_to > Flag::Healthy || flag.flag_to == Flag::NoEstimate {
@@ -279,8 +304,16 @@ impl<'a> AxisReporter<'a> {
         let delay_ns = self.context.clock.now_ns().saturating_sub(self.sample_ns);
         let delay_s = (self.pace() == Pace::Recorded).then_some(delay_ns.max(0) as f64 / 1e9);
         self.last = Some(LastCycle { cycle: line.cycle, end_ns, delay_s });
+        let why = line.comparison.as_ref().map_or(Vec::new(), |comparison| {
+            let parts = comparison.why.names.iter().cloned();
+            parts.zip(comparison.why.values.iter().map(|value| *value as f32)).collect()
+        });
+        let is_healthy =
+            line.reason == Some(LEARNING_BASELINE) || line.flag == Flag::Healthy && line.reason.is_none();
         let course = Course {
             cycle: line.cycle,
+            duty_cycle: line.duty_cycle.map(str::to_owned),
+            why,
             flag: line.flag,
             reason: line.reason,
             leak_flow_lpm: line.leak_flow_lpm,
@@ -310,6 +343,9 @@ impl<'a> AxisReporter<'a> {
             flag: line.flag,
         });
         self.context.hub.update_axis(line.axis, |_, view| {
+            if is_healthy {
+                view.healthy.take(&course, end_ns);
+            }
             view.add_course(course);
             if let Some(point) = point {
                 view.add_trend(point);
@@ -354,12 +390,13 @@ impl<'a> AxisReporter<'a> {
         }
     }
 
-    fn acknowledge(&mut self, pipeline: &Pipeline) {
+    fn acknowledge(&mut self, pipeline: &Pipeline, Signature { who, note }: Signature) {
         let latched = self.latch.latched;
         if self.latch.acknowledge(pipeline.alarm().level()) {
-            tracing::info!(axis = self.config.axis, latched = latched.map(Flag::name), "acknowledged");
-            let now_ns = self.context.clock.now_ns();
-            self.context.hub.publish_acknowledged(&self.config.axis, latched, now_ns);
+            tracing::info!(axis = self.config.axis, latched = latched.map(Flag::name), who, "acknowledged");
+            let by = Acknowledgement { t_ns: self.now_ns(), who, note };
+            self.context.hub.publish_acknowledged(&self.config.axis, latched, &by);
+            self.acknowledgement = Some(by);
         }
         self.news = true;
         self.keep(pipeline);
@@ -372,9 +409,8 @@ impl<'a> AxisReporter<'a> {
 
     /// Something was done to the machine: noted in the log, and heeded at once unless its time is still to come.
     fn repair(&mut self, pipeline: &mut Pipeline, entry: NewRepair) {
-        // A log's samples have its own time; whole milliseconds read better in the file.
-        let of_log = self.config.source.log.is_some();
-        let now_ns = if of_log { self.sample_ns } else { self.context.clock.now_ns() };
+        let now_ns = self.now_ns();
+        // Whole milliseconds read better in the file.
         let repair = entry.at(now_ns - now_ns.rem_euclid(MS_NS));
         self.book.add(repair.clone());
         if repair.at_ns <= now_ns {
@@ -384,11 +420,17 @@ impl<'a> AxisReporter<'a> {
         self.news = true;
     }
 
+    /// Now, in the samples' time: a log's have their own.
+    fn now_ns(&self) -> i64 {
+        if self.config.source.log.is_some() { self.sample_ns } else { self.context.clock.now_ns() }
+    }
+
     fn heed_repair(&mut self, pipeline: &mut Pipeline, repair: &Repair) {
         let is_of_seal = repair.what == RepairKind::SealReplaced;
         if pipeline.repaired(repair, &mut |event| self.publish(event)) && is_of_seal {
-            // What was latched is another seal's.
+            // What was latched is another seal's, and so was the healthy cycle.
             self.latch = Latch::default();
+            self.forget_healthy();
         }
     }
 
@@ -401,6 +443,7 @@ impl<'a> AxisReporter<'a> {
             return;
         }
         tracing::info!(axis = self.config.axis, "a new baseline will be learned from the next cycles");
+        self.forget_healthy();
         for (record, monitor) in self.records.iter_mut().zip(pipeline.monitors_mut()) {
             record.renew(monitor);
         }
@@ -409,6 +452,11 @@ impl<'a> AxisReporter<'a> {
         }
         self.news = true;
         self.keep(pipeline);
+    }
+
+    /// What a healthy cycle is like is to be seen anew.
+    fn forget_healthy(&self) {
+        self.context.hub.update_axis(&self.config.axis, |_, view| view.healthy = HealthyCourse::default());
     }
 
     /// Keeps a baseline that has been learned; one that the disk does not take is tried again after each cycle.
@@ -447,6 +495,8 @@ impl<'a> AxisReporter<'a> {
         let state = AxisState {
             alarm: AlarmState::from(pipeline.alarm()),
             latch: self.latch,
+            acknowledgement: self.acknowledgement.clone(),
+            since_ns: self.since_ns,
             estimate: self.estimate,
             duty_cycles: self.records.iter().zip(pipeline.monitors()).map(of_duty_cycle).collect(),
             relative: self
@@ -463,6 +513,9 @@ impl<'a> AxisReporter<'a> {
         let now_ns = self.context.clock.now_ns();
         if self.news {
             self.latch.take(pipeline.alarm().level());
+            if !self.latch.acknowledged {
+                self.acknowledgement = None;
+            }
             self.keep_baseline(pipeline);
             self.keep(pipeline);
         }
@@ -499,6 +552,14 @@ impl<'a> AxisReporter<'a> {
             health.state = SourceState::Silent;
         }
         let (latch, stale, last, estimate) = (self.latch, self.stale, self.last, self.estimate);
+        let acknowledgement = self.acknowledgement.clone();
+        let (since_ns, t_sample_ns) = (self.since_ns, self.has_sample.then_some(self.sample_ns));
+        let loss = estimate.map(|estimate| pipeline.config().loss(estimate.leak_flow_lpm));
+        let price = self.config.energy.price_per_kwh.zip(loss);
+        let leak_cost_per_year = price.map(|(price, loss)| Money {
+            amount: price * loss.leak_energy_kwh_per_year,
+            currency: self.config.energy.currency.clone(),
+        });
         let monitors = pipeline.monitors();
         let finding = pipeline.finding();
         let time_to_leak = self.time_to_leak.filter(|_| finding == CusumFinding::Leak);
@@ -513,18 +574,24 @@ impl<'a> AxisReporter<'a> {
         self.context.hub.update_axis(&self.config.axis, |status, view| {
             *status = AxisStatus {
                 flag: alarm.flag(),
+                since_ns,
+                t_sample_ns,
+                verdict: Verdict::of(alarm.flag(), alarm.reason(), pipeline.relative().is_some()),
                 reason: alarm.reason(),
                 advice,
                 observed_period_s,
                 level: alarm.level(),
                 latched: latch.latched,
                 acknowledged: latch.acknowledged,
+                acknowledgement,
+                thresholds: Thresholds::of(&self.config.alarm),
                 stale,
                 leak_area_m2: estimate.map(|estimate| estimate.leak_area_m2),
                 interval90_m2: estimate.map(|estimate| estimate.interval90_m2),
                 leak_flow_lpm: estimate.map(|estimate| estimate.leak_flow_lpm),
                 lpm_per_m2: pipeline.config().flow_lpm(1.0),
-                loss: estimate.map(|estimate| pipeline.config().loss(estimate.leak_flow_lpm)),
+                loss,
+                leak_cost_per_year,
                 time_to_leak_s: time_to_leak.map(|time| time.expected_s),
                 time_to_leak_range_s: time_to_leak.map(|time| [time.earliest_s, time.latest_s]),
                 baseline,

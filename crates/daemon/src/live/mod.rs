@@ -5,6 +5,10 @@
 
 mod axis;
 mod commission;
+#[cfg(feature = "simulate")]
+pub mod demo;
+#[cfg(feature = "simulate")]
+mod press;
 mod relative;
 mod repairs;
 mod sinks;
@@ -31,7 +35,7 @@ use tokio::time::timeout;
 use crate::clock::Clock;
 use crate::config::{AxisConfig, DaemonConfig};
 use crate::failure::{Code, Failure};
-use crate::hub::{AxisStatus, Hub, Publication};
+use crate::hub::{AxisStatus, AxisView, Hub, Publication};
 use crate::reasons::UNUSABLE_CONFIGURATION;
 use crate::sink::recording::Recorder;
 use axis::AxisContext;
@@ -39,7 +43,7 @@ pub use sinks::check_sinks;
 use sinks::{RunningSink, SinkConfig, check_sink, sink_configs};
 use source::LiveSource;
 use stamps::{Stamps, axis_files, stamps};
-use state::{Keeper, Trends, read_trends, write_trends};
+use state::{Drawn, Keeper, Trends, read_events, read_trends, write_events, write_trends};
 use systemd::{Watchdog, one_line, tell};
 
 /// Time that tasks have to end by themselves.
@@ -67,14 +71,14 @@ pub fn state_folder(config: &DaemonConfig) -> PathBuf {
 /// [`Failure`] where the configuration cannot be used, or no axis can be started.
 pub async fn run(path: &Path) -> Result<(), Failure> {
     let config = DaemonConfig::read(path)?;
-    let mut daemon = Daemon::new(&config)?;
+    let mut daemon = Daemon::new(state_folder(&config))?;
     // Before it is ready: whoever reloads it then must not end it.
     let signals = Signals::new()?;
     daemon.start(&config)?;
     tell(&[NotifyState::Ready, NotifyState::Status(&daemon.status_line())]);
     tracing::info!("{}", daemon.status_line());
     remark(&config);
-    let result = daemon.work(path, signals).await;
+    let result = daemon.work(Some(path), signals).await;
     tell(&[NotifyState::Stopping]);
     daemon.stop().await;
     result
@@ -126,6 +130,8 @@ struct Daemon {
     watchdog: Watchdog,
     /// Trends of an earlier run, until their axes take them up.
     trends: Trends,
+    /// The newest event that is on disk.
+    event_on_disk: Option<Arc<str>>,
 }
 
 /// An axis whose files have been read and found good.
@@ -136,12 +142,15 @@ struct ReadyAxis {
 }
 
 impl Daemon {
-    fn new(config: &DaemonConfig) -> Result<Self, Failure> {
-        let state_folder = state_folder(config);
+    fn new(state_folder: PathBuf) -> Result<Self, Failure> {
+        let keeper = Keeper::open(&state_folder)?;
+        let hub = Hub::new(run_name());
+        hub.recall(read_events(&state_folder));
         Ok(Daemon {
             clock: Clock::start(),
-            hub: Hub::new(run_name()),
-            keeper: Keeper::open(&state_folder)?,
+            event_on_disk: hub.history().pop(),
+            hub,
+            keeper,
             trends: read_trends(&state_folder),
             state_folder,
             unsaved: None,
@@ -201,9 +210,10 @@ impl Daemon {
         let (stop, stopped) = watch::channel(false);
         let progress = Arc::new(AtomicU64::new(0));
         self.hub.add_axis(AxisStatus::new(&config.axis, config.reference_dp_pa), order_sender);
-        if let Some(trend) = self.trends.remove(&config.axis) {
+        if let Some(drawn) = self.trends.remove(&config.axis) {
             self.hub.update_axis(&config.axis, |_, view| {
-                trend.into_iter().for_each(|point| view.add_trend(point));
+                drawn.trend.into_iter().for_each(|point| view.add_trend(point));
+                view.healthy = drawn.healthy;
             });
         }
         let context = AxisContext {
@@ -224,8 +234,9 @@ impl Daemon {
         self.watchdog.watch(self.axes.iter().map(|axis| Arc::clone(&axis.progress)).collect());
     }
 
-    /// Works until told to stop, or until all axes have ended.
-    async fn work(&mut self, path: &Path, signals: Signals) -> Result<(), Failure> {
+    /// Works until told to stop, or until all axes have ended. Without a configuration file there is nothing to reload: a terminal that hangs
+    /// up ends it.
+    async fn work(&mut self, path: Option<&Path>, signals: Signals) -> Result<(), Failure> {
         let Signals { mut reload, mut terminate, mut interrupt } = signals;
         let mut kept = self.keeper.changes();
         let mut events = self.hub.subscribe(EVENTS);
@@ -240,7 +251,10 @@ impl Daemon {
             tokio::select! {
                 _ = terminate.recv() => break Ok(()),
                 _ = interrupt.recv() => break Ok(()),
-                _ = reload.recv() => self.reload(path).await,
+                _ = reload.recv() => match path {
+                    Some(path) => self.reload(path).await,
+                    None => break Ok(()),
+                },
                 Some(event) = events.recv() => self.record(&event),
                 _ = kept.changed() => self.write_state().await,
                 _ = retry.tick() => self.retry().await,
@@ -284,7 +298,17 @@ impl Daemon {
 
     async fn write_state(&mut self) {
         let (keeper, folder) = (self.keeper.clone(), self.state_folder.clone());
-        let written = tokio::task::spawn_blocking(move || keeper.write(&folder)).await;
+        let events = self.hub.history();
+        let newest = events.last().cloned();
+        let are_new = newest != self.event_on_disk;
+        let written = tokio::task::spawn_blocking(move || {
+            keeper.write(&folder)?;
+            if are_new { write_events(&folder, &events) } else { Ok(()) }
+        })
+        .await;
+        if matches!(written, Ok(Ok(()))) {
+            self.event_on_disk = newest;
+        }
         self.heed_written(written.unwrap_or_else(|error| Err(io::Error::other(error))));
     }
 
@@ -309,7 +333,11 @@ impl Daemon {
     }
 
     async fn write_trends(&self) {
-        let (trends, folder) = (self.hub.trends(), self.state_folder.clone());
+        let drawn = |view: &AxisView| Drawn {
+            trend: view.trend.iter().copied().collect(),
+            healthy: view.healthy.clone(),
+        };
+        let (trends, folder) = (self.hub.views(drawn), self.state_folder.clone());
         let written = tokio::task::spawn_blocking(move || write_trends(&folder, trends)).await;
         if let Ok(Err(error)) = written {
             tracing::error!("the trends in {} cannot be written: {error}", self.state_folder.display());

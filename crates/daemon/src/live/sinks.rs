@@ -11,11 +11,12 @@ use tokio::time::{sleep, timeout};
 
 use super::stamps::{Stamps, stamps};
 use super::{Daemon, ENDING, RETRY_DISK, end_task};
-use crate::config::{CanOutConfig, DaemonConfig, HttpConfig, MqttConfig, RecordingConfig};
+use crate::config::{CanOutConfig, DaemonConfig, HttpConfig, InfluxConfig, MqttConfig, RecordingConfig};
 use crate::failure::Failure;
 use crate::hub::Hub;
 use crate::sink::can::{self, Layout};
 use crate::sink::http::{self, Http};
+use crate::sink::influx;
 use crate::sink::mqtt::{self, Broker};
 use crate::sink::recording::{self, Recorder};
 
@@ -29,6 +30,7 @@ pub(super) enum SinkConfig {
     Mqtt(MqttConfig),
     Can(CanOutConfig, String),
     Recording(RecordingConfig, Vec<String>),
+    Influx(InfluxConfig),
 }
 
 impl SinkConfig {
@@ -38,6 +40,7 @@ impl SinkConfig {
             SinkConfig::Mqtt(_) => mqtt::SINK.into(),
             SinkConfig::Can(frame, _) => can::sink_name(frame),
             SinkConfig::Recording(..) => recording::SINK.into(),
+            SinkConfig::Influx(_) => influx::SINK.into(),
         }
     }
 
@@ -50,7 +53,7 @@ impl SinkConfig {
                 let own = [&mqtt.password_file, &mqtt.certificate_file, &mqtt.key_file].map(Option::as_ref);
                 [ca_file, own[0], own[1], own[2]]
             }
-            SinkConfig::Can(..) | SinkConfig::Recording(..) => [None; 4],
+            SinkConfig::Can(..) | SinkConfig::Recording(..) | SinkConfig::Influx(_) => [None; 4],
         };
         files.into_iter().flatten()
     }
@@ -82,7 +85,7 @@ pub(super) fn check_sink(config: &SinkConfig) -> Result<(), Failure> {
         SinkConfig::Http(http) => http::token(http).map(drop),
         SinkConfig::Mqtt(mqtt) => mqtt::credentials(mqtt).map(drop),
         SinkConfig::Can(frame, _) => Layout::new(frame).map(drop),
-        SinkConfig::Recording(..) => Ok(()),
+        SinkConfig::Recording(..) | SinkConfig::Influx(_) => Ok(()),
     }
 }
 
@@ -100,7 +103,8 @@ pub(super) fn sink_configs(config: &DaemonConfig) -> Vec<SinkConfig> {
     });
     let http = sinks.http.map(SinkConfig::Http);
     let mqtt = sinks.mqtt.map(SinkConfig::Mqtt);
-    recording.into_iter().chain(http).chain(mqtt).chain(can).collect()
+    let influx = sinks.influx.map(SinkConfig::Influx);
+    recording.into_iter().chain(http).chain(mqtt).chain(influx).chain(can).collect()
 }
 
 impl Daemon {
@@ -140,9 +144,8 @@ impl Daemon {
         let hub = Arc::clone(&self.hub);
         let task = match &config {
             SinkConfig::Http(http) => {
-                let site = Http::new(http, hub, self.clock, stopped.clone())?;
-                let serve = serve(site, http.clone(), Arc::clone(&self.hub), stopped);
-                Ending::Task(tokio::spawn(serve))
+                let (config, of_hub) = (http.clone(), Arc::clone(&self.hub));
+                return self.serve_page(http, |site, stopped| serve(site, config, of_hub, stopped));
             }
             SinkConfig::Mqtt(mqtt) => {
                 let broker = Broker::new(mqtt, &self.spool_folder(), hub)?;
@@ -153,6 +156,9 @@ impl Daemon {
                 let task = can::run(frame.clone(), layout, axis.clone(), hub, stopped);
                 Ending::Task(tokio::spawn(task))
             }
+            SinkConfig::Influx(influx) => {
+                Ending::Task(tokio::spawn(influx::run(influx.clone(), hub, stopped)))
+            }
             SinkConfig::Recording(recording, axes) => {
                 let folder = recording.folder.clone().unwrap_or_else(|| self.state_folder.join("recordings"));
                 let (recorder, thread) = recording::start(recording, &folder, axes.clone(), hub)?;
@@ -161,6 +167,21 @@ impl Daemon {
             }
         };
         self.sinks.push(RunningSink { config, files, name: name.to_owned(), stop, task });
+        Ok(())
+    }
+
+    /// Starts the page; `serve` opens its port, or has it already.
+    pub(super) fn serve_page<S: Future<Output = ()> + Send + 'static>(
+        &mut self,
+        http: &HttpConfig,
+        serve: impl FnOnce(Http, watch::Receiver<bool>) -> S,
+    ) -> Result<(), Failure> {
+        let (stop, stopped) = watch::channel(false);
+        let site = Http::new(http, Arc::clone(&self.hub), self.clock, stopped.clone())?;
+        let task = Ending::Task(tokio::spawn(serve(site, stopped)));
+        let config = SinkConfig::Http(http.clone());
+        let (files, name) = (stamps(config.files()), config.name());
+        self.sinks.push(RunningSink { config, files, name, stop, task });
         Ok(())
     }
 

@@ -1,10 +1,10 @@
-//! Sources as the daemon reads them: a bus, or a log played at its own pace.
+//! Sources as the daemon reads them: a bus, or a log played at its own pace, faster, or as fast as it is read.
 
 use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-use seepd_logs::open;
+use seepd_logs::{LogError, Source, open};
 use seepd_signals::Sample;
 use tokio::sync::mpsc;
 
@@ -84,16 +84,17 @@ enum Portion {
     End(Option<String>),
 }
 
-/// A log that a thread reads, given out at its own pace or as fast as it is read.
+/// A log that a thread reads, given out at its own pace, so many times faster, or as fast as it is read.
 pub(super) struct PlayedLog {
     portions: mpsc::Receiver<Portion>,
     /// Read, and not yet due.
     ahead: std::vec::IntoIter<Sample>,
     next: Option<Sample>,
-    pace: Pace,
+    /// Times faster than it was recorded; none: as fast as it is read.
+    speed: Option<f64>,
     clock: Clock,
-    /// Line minus the log's time.
-    shift_ns: Option<i64>,
+    /// The first sample's time, in the log and on the line, ns.
+    begin_ns: Option<(i64, i64)>,
     health: SourceHealth,
     ended: Option<Option<String>>,
 }
@@ -105,10 +106,28 @@ impl PlayedLog {
             || std::fs::metadata(path).is_ok_and(|facts| !facts.is_file() && !facts.is_dir());
         let mapping = config.log_mapping();
         let opened = if waits { None } else { Some(open(path, &mapping)?) };
+        let place = path.to_owned();
+        let open_now = move || opened.map_or_else(|| open(&place, &mapping), Ok);
+        let speed = (config.source.pace == Pace::Recorded).then_some(1.0);
+        let health = SourceHealth { name: path.display().to_string(), ..SourceHealth::default() };
+        PlayedLog::play(&config.axis, open_now, health, speed, clock)
+    }
+
+    /// Plays whatever gives samples, so many times faster than it was recorded, or as fast as it is read. Its thread opens it.
+    ///
+    /// # Errors
+    /// [`Failure`] where the system gives no thread.
+    pub(super) fn play(
+        axis: &str,
+        open: impl FnOnce() -> Result<Box<dyn Source + Send>, LogError> + Send + 'static,
+        health: SourceHealth,
+        speed: Option<f64>,
+        clock: Clock,
+    ) -> Result<Self, Failure> {
         let (sender, portions) = mpsc::channel(BATCHES);
-        let (axis, place) = (config.axis.clone(), path.to_owned());
+        let axis = axis.to_owned();
         let read = move || {
-            let mut source = match opened.map_or_else(|| open(&place, &mapping), Ok) {
+            let mut source = match open() {
                 Ok(source) => source,
                 Err(error) => {
                     let _ =
@@ -141,14 +160,13 @@ impl PlayedLog {
         thread::Builder::new().name("log".into()).spawn(read).map_err(|error| {
             Failure::new(Code::Internal, format!("the log cannot be read in the background: {error}"))
         })?;
-        let health = SourceHealth { name: path.display().to_string(), ..SourceHealth::default() };
         Ok(PlayedLog {
             portions,
             ahead: Vec::new().into_iter(),
             next: None,
-            pace: config.source.pace,
+            speed,
             clock,
-            shift_ns: None,
+            begin_ns: None,
             health,
             ended: None,
         })
@@ -159,29 +177,30 @@ impl PlayedLog {
             self.next = self.ahead.next();
         }
         let Some(next) = self.next else { return self.fetch().await };
-        if self.pace == Pace::Recorded {
-            let now_ns = self.clock.now_ns();
-            let shift_ns = *self.shift_ns.get_or_insert(now_ns.saturating_sub(next.time_ns));
-            let due_ns = next.time_ns.saturating_add(shift_ns);
-            let wait_ns = due_ns.saturating_sub(now_ns);
-            if wait_ns > 0 {
-                let wait = Duration::from_nanos(wait_ns as u64);
-                tokio::time::sleep(wait.min(IDLE)).await;
-                return if wait > IDLE { Input::Idle } else { self.give(samples, due_ns) };
-            }
-            return self.give(samples, now_ns);
+        let Some(speed) = self.speed else {
+            self.begin_ns = Some((0, 0));
+            // Others on this thread get their turn between batches.
+            tokio::task::yield_now().await;
+            return self.give(samples, i64::MAX);
+        };
+        let now_ns = self.clock.now_ns();
+        let (first_ns, line_ns) = *self.begin_ns.get_or_insert((next.time_ns, now_ns));
+        // What has been reached of the log by now, in its own time.
+        let reached_ns = first_ns.saturating_add((now_ns.saturating_sub(line_ns) as f64 * speed) as i64);
+        let wait_ns = (next.time_ns.saturating_sub(reached_ns) as f64 / speed) as i64;
+        if wait_ns <= 0 {
+            return self.give(samples, reached_ns);
         }
-        self.shift_ns = Some(0);
-        // Others on this thread get their turn between batches.
-        tokio::task::yield_now().await;
-        self.give(samples, i64::MAX)
+        let wait = Duration::from_nanos(wait_ns.unsigned_abs());
+        tokio::time::sleep(wait.min(IDLE)).await;
+        if wait > IDLE { Input::Idle } else { self.give(samples, next.time_ns) }
     }
 
-    /// Gives out what is due by then.
-    fn give(&mut self, samples: &mut Vec<Sample>, now_ns: i64) -> Input {
-        let shift_ns = self.shift_ns.unwrap_or_default();
+    /// Gives out what the log has up to a time of its own; the samples get the times at which they would come at its own pace.
+    fn give(&mut self, samples: &mut Vec<Sample>, until_ns: i64) -> Input {
+        let shift_ns = self.begin_ns.map_or(0, |(first_ns, line_ns)| line_ns.saturating_sub(first_ns));
         while let Some(mut sample) = self.next.take().or_else(|| self.ahead.next()) {
-            if sample.time_ns.saturating_add(shift_ns) > now_ns {
+            if sample.time_ns > until_ns {
                 self.next = Some(sample);
                 break;
             }

@@ -17,11 +17,12 @@ use seepd_monitor::relative::charts::Sums;
 use seepd_monitor::repair::{Aftercare, Repaired};
 use seepd_settings::side_file;
 use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
 use tokio::sync::watch;
 
 use crate::durable::{set_aside, write_durably};
 use crate::failure::{Code, Failure};
-use crate::hub::TrendPoint;
+use crate::hub::{Acknowledgement, HealthyCourse, TrendPoint};
 
 /// Version of the file that is written.
 const SCHEMA: &str = "seepd.state/2";
@@ -33,6 +34,9 @@ const LOCK_NAME: &str = "lock";
 /// The axes' trends, which are for people: written now and then, and begun anew where they cannot be read.
 const TREND_NAME: &str = "trend.json";
 const TREND_SCHEMA: &str = "seepd.trend/1";
+/// The last events, which are for people as well: written with the state where there are new ones.
+const EVENTS_NAME: &str = "events.json";
+const EVENTS_SCHEMA: &str = "seepd.events/1";
 
 /// What is kept of an axis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -41,6 +45,12 @@ pub struct AxisState {
     pub alarm: AlarmState,
     /// Latch.
     pub latch: Latch,
+    /// Who acknowledged what is latched.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acknowledgement: Option<Acknowledgement>,
+    /// Since when the flag is what it is, ns.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub since_ns: Option<i64>,
     /// The last estimate.
     #[serde(default)]
     pub estimate: Option<LastEstimate>,
@@ -86,6 +96,8 @@ impl AxisState {
         AxisState {
             alarm,
             latch: Latch::default(),
+            acknowledgement: None,
+            since_ns: None,
             estimate: None,
             duty_cycles: BTreeMap::new(),
             relative: None,
@@ -208,19 +220,37 @@ impl Keeper {
     }
 }
 
-/// The axes' trends by name.
-pub type Trends = BTreeMap<String, Vec<TrendPoint>>;
+/// What pages draw of an axis that outlives the daemon.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Drawn {
+    /// Leak by cycle.
+    pub trend: Vec<TrendPoint>,
+    /// What a healthy cycle is like.
+    pub healthy: HealthyCourse,
+}
+
+/// That of the axes by name.
+pub type Trends = BTreeMap<String, Drawn>;
 
 #[derive(Serialize, Deserialize)]
 struct TrendFile {
     schema: String,
-    axes: Trends,
+    axes: BTreeMap<String, Vec<TrendPoint>>,
+    #[serde(default)]
+    healthy: BTreeMap<String, HealthyCourse>,
 }
 
 /// Reads the trends that an earlier run left; none where there are none that can be read.
 pub fn read_trends(folder: &Path) -> Trends {
     take_up(&folder.join(TREND_NAME), "trends", |bytes| match serde_json::from_slice::<TrendFile>(bytes) {
-        Ok(file) if file.schema == TREND_SCHEMA => Ok(file.axes),
+        Ok(file) if file.schema == TREND_SCHEMA => {
+            let TrendFile { axes, mut healthy, .. } = file;
+            let drawn = |(name, trend): (String, _)| {
+                let healthy = healthy.remove(&name).unwrap_or_default();
+                (name, Drawn { trend, healthy })
+            };
+            Ok(axes.into_iter().map(drawn).collect())
+        }
         _ => Err("this is not a file of trends".into()),
     })
 }
@@ -278,8 +308,41 @@ impl FolderLock {
 /// # Errors
 /// Writing failed.
 pub fn write_trends(folder: &Path, axes: Trends) -> io::Result<()> {
-    let text = serde_json::to_vec(&TrendFile { schema: TREND_SCHEMA.into(), axes })?;
-    write_durably(&folder.join(TREND_NAME), &text)
+    let mut file = TrendFile { schema: TREND_SCHEMA.into(), axes: BTreeMap::new(), healthy: BTreeMap::new() };
+    for (name, Drawn { trend, healthy }) in axes {
+        file.healthy.insert(name.clone(), healthy);
+        file.axes.insert(name, trend);
+    }
+    write_durably(&folder.join(TREND_NAME), &serde_json::to_vec(&file)?)
+}
+
+#[derive(Serialize, Deserialize)]
+struct EventsFile<E> {
+    schema: String,
+    events: Vec<E>,
+}
+
+/// Reads the last events of earlier runs, oldest first, each as it was sent: JSON. None where there are none that can be read.
+pub fn read_events(folder: &Path) -> Vec<String> {
+    take_up(&folder.join(EVENTS_NAME), "events", |bytes| {
+        match serde_json::from_slice::<EventsFile<Box<RawValue>>>(bytes) {
+            Ok(file) if file.schema == EVENTS_SCHEMA => {
+                Ok(file.events.into_iter().map(|event| String::from(Box::<str>::from(event))).collect())
+            }
+            _ => Err("this is not a file of events".into()),
+        }
+    })
+}
+
+/// Writes the last events, each JSON.
+///
+/// # Errors
+/// Writing failed.
+pub fn write_events(folder: &Path, events: &[Arc<str>]) -> io::Result<()> {
+    let events =
+        events.iter().map(|event| serde_json::from_str::<&RawValue>(event)).collect::<Result<_, _>>()?;
+    let file = EventsFile { schema: EVENTS_SCHEMA.into(), events };
+    write_durably(&folder.join(EVENTS_NAME), &serde_json::to_vec(&file)?)
 }
 
 #[cfg(test)]
@@ -333,11 +396,29 @@ mod tests {
             leak_flow_lpm: 0.5,
             flag: Flag::Watch,
         };
-        let trends = Trends::from([("press".to_owned(), vec![point; 3])]);
+        let healthy = HealthyCourse { cycles: 2, points: vec![(0.0, 0.5)], ..HealthyCourse::default() };
+        let trends = Trends::from([("press".to_owned(), Drawn { trend: vec![point; 3], healthy })]);
         write_trends(folder.path(), trends.clone()).unwrap();
         assert_eq!(read_trends(folder.path()), trends);
         fs::write(folder.path().join(TREND_NAME), "[]").unwrap();
         assert_eq!(read_trends(folder.path()), Trends::new());
+        // That of an earlier version has no healthy cycles.
+        let earlier = r#"{"schema":"seepd.trend/1","axes":{"press":[]}}"#;
+        fs::write(folder.path().join(TREND_NAME), earlier).unwrap();
+        assert_eq!(read_trends(folder.path()), Trends::from([("press".to_owned(), Drawn::default())]));
+    }
+
+    #[test]
+    fn events_come_back_as_they_were_sent_and_damaged_ones_begin_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(read_events(folder.path()).is_empty());
+        let events = [r#"{"axis":"a","x":0.10}"#, r#"{"b":"\u001b"}"#];
+        write_events(folder.path(), &events.map(Arc::from)).unwrap();
+        assert_eq!(read_events(folder.path()), events);
+        fs::write(folder.path().join(EVENTS_NAME), &b"{\"schema\":\"seepd.events/1\",\"events\":[{"[..])
+            .unwrap();
+        assert!(read_events(folder.path()).is_empty());
+        assert!(!folder.path().join(EVENTS_NAME).exists(), "it is set aside");
     }
 
     #[test]

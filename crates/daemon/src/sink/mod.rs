@@ -7,6 +7,8 @@ pub mod evaluation;
 pub mod html;
 #[cfg(feature = "live")]
 pub mod http;
+#[cfg(feature = "live")]
+pub mod influx;
 pub mod json;
 pub mod mcap;
 #[cfg(feature = "live")]

@@ -273,6 +273,7 @@ fn register_sinks(registry: &mut Registry, sinks: &[SinkStatus]) {
 mod tests {
     use super::*;
     use crate::hub::RelativeStatus;
+    use seepd_monitor::energy::Loss;
 
     #[test]
     fn an_axis_without_an_estimate_has_a_flag_and_no_leak() {
@@ -303,6 +304,65 @@ mod tests {
             text.contains("seepd_changed{axis=\"press\"} 1") && !text.contains("seepd_finding{"),
             "{text}"
         );
+    }
+
+    /// Everything that can be told of an axis is.
+    fn status_in_full() -> AxisStatus {
+        let mut status = AxisStatus::new("press", 7e6);
+        status.flag = Flag::Watch;
+        (status.leak_area_m2, status.leak_flow_lpm) = (Some(1e-7), Some(0.5));
+        status.interval90_m2 = Some([9e-8, 1.1e-7]);
+        status.loss = Some(Loss::of(0.5, 7e6, 8760.0));
+        (status.time_to_leak_s, status.time_to_leak_range_s) = (Some(1.0), Some([0.5, 2.0]));
+        status.baseline.learned_cycles = Some(50);
+        status.conditions = vec![crate::hub::condition_for_tests()];
+        status.rejected.insert("gap", 1);
+        status
+    }
+
+    #[test]
+    fn dashboard_and_alerts_ask_for_series_that_there_are() {
+        let text = text(&[status_in_full()], &[SinkStatus::new("mqtt")]).unwrap();
+        let board = include_str!("../../../../packaging/grafana/seepd.dashboard.json");
+        let rules = include_str!("../../../../packaging/prometheus/seepd.rules.yml");
+        let mut asked = std::collections::BTreeSet::new();
+        for file in [board, rules] {
+            for rest in file.split("seepd_").skip(1) {
+                let end = rest.find(|c: char| !(c.is_ascii_alphanumeric() || c == '_')).unwrap_or(rest.len());
+                asked.insert(format!("seepd_{}", &rest[..end]));
+            }
+        }
+        assert!(asked.len() > 10, "{asked:?}");
+        for name in &asked {
+            assert!(text.contains(&format!("\n{name}{{")), "{name} is asked for, and is not there:\n{text}");
+        }
+        let alerts = rules.lines().filter(|line| line.trim_start().starts_with("- alert: Seepd")).count();
+        let expressions = rules.lines().filter(|line| line.trim_start().starts_with("expr: ")).count();
+        assert_eq!((alerts, expressions), (7, 7));
+    }
+
+    /// What Grafana's import needs: panels that have a number of their own, lie beside each other, and ask a source that is chosen.
+    #[test]
+    fn panels_of_the_dashboard_lie_beside_each_other() {
+        let board = include_str!("../../../../packaging/grafana/seepd.dashboard.json");
+        let board: serde_json::Value = serde_json::from_str(board).unwrap();
+        assert!(board["schemaVersion"].as_u64() >= Some(36) && board["uid"].is_string());
+        let panels = board["panels"].as_array().unwrap();
+        let place = |panel: &serde_json::Value| {
+            ["x", "y", "w", "h"].map(|key| panel["gridPos"][key].as_u64().unwrap())
+        };
+        for (index, panel) in panels.iter().enumerate() {
+            assert_eq!(panel["id"].as_u64(), Some(index as u64 + 1));
+            assert_eq!(panel["datasource"]["uid"], "${datasource}");
+            assert!(!panel["targets"].as_array().unwrap().is_empty());
+            let [x, y, w, h] = place(panel);
+            assert!(x + w <= 24, "{}", panel["title"]);
+            for other in &panels[index + 1..] {
+                let [a, b, c, d] = place(other);
+                let apart = x + w <= a || a + c <= x || y + h <= b || b + d <= y;
+                assert!(apart, "{} lies on {}", panel["title"], other["title"]);
+            }
+        }
     }
 
     #[test]

@@ -400,3 +400,29 @@ fn write_signals(line: &mut Vec<u8>, sample: &Sample) -> io::Result<()> {
     line.push(b'}');
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The layout for Foxglove asks for topics and fields that recordings have.
+    #[test]
+    fn the_layout_asks_for_what_there_is() {
+        let layout = include_str!("../../../../packaging/foxglove/seepd.layout.json");
+        let layout: serde_json::Value = serde_json::from_str(layout).unwrap();
+        let known = [("signals", schema::SIGNALS), ("leakage", schema::CYCLE), ("flags", schema::EVENT)];
+        let mut asked = 0;
+        for panel in layout["configById"].as_object().unwrap().values() {
+            let paths = panel["paths"].as_array().into_iter().flatten().map(|path| &path["value"]);
+            for path in paths.chain(panel.get("topicPath")) {
+                let path = path.as_str().unwrap().strip_prefix("/press-1/").unwrap();
+                let (topic, field) = path.split_once('.').unwrap_or((path, ""));
+                let of_topic = known.iter().find(|(name, _)| *name == topic).unwrap().1;
+                let of_topic: serde_json::Value = serde_json::from_str(of_topic).unwrap();
+                assert!(field.is_empty() || of_topic["properties"][field].is_object(), "{path}");
+                asked += 1;
+            }
+        }
+        assert_eq!(asked, 4);
+    }
+}

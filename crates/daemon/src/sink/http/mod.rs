@@ -1,9 +1,10 @@
 //! The dashboard, JSON, metrics and health over HTTP.
 //!
 //! Bound to the host's own addresses unless told otherwise, and then each request must bring the token: as
-//! `Authorization: Bearer …`, or as the cookie that `/?token=…` leaves. Requests from pages of other places are refused.
+//! `Authorization: Bearer …`, or as the cookie that the login form, or `/?token=…`, leaves. Requests from pages of other places are refused.
 
 mod connections;
+mod login;
 
 use std::convert::Infallible;
 use std::io;
@@ -33,16 +34,18 @@ use crate::clock::{self, Clock};
 use crate::config::HttpConfig;
 use crate::failure::Failure;
 use crate::hub::SourceState;
-use crate::hub::{AxisStatus, Hub, NewRepair, NotTaken, Order, SinkStatus};
+use crate::hub::{AxisStatus, Hub, NewRepair, NotTaken, Order, Signature, SinkStatus};
+use crate::reasons;
 
 /// The dashboard's name among the sinks.
 pub const SINK: &str = "http";
 const PAGE: &str = include_str!("../dashboard/index.html");
 const SCRIPT: &str = include_str!("../dashboard/dashboard.js");
-const STYLE: &str = include_str!("../dashboard/dashboard.css");
+const STYLE: &str =
+    concat!(include_str!("../../html/palette.css"), include_str!("../dashboard/dashboard.css"));
 /// Nothing is loaded from elsewhere, and no other page may frame this one.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
-                      frame-ancestors 'none'; base-uri 'none'; form-action 'none'";
+                      frame-ancestors 'none'; base-uri 'none'; form-action 'self'";
 /// The dashboard hears this often.
 const BEAT: Duration = Duration::from_millis(250);
 /// Events that wait for a client that hears slowly.
@@ -118,11 +121,14 @@ fn routes(site: Arc<Site>) -> Router {
         .route("/", get(async || asset("text/html; charset=utf-8", PAGE)))
         .route("/dashboard.js", get(async || asset("text/javascript; charset=utf-8", SCRIPT)))
         .route("/dashboard.css", get(async || asset("text/css; charset=utf-8", STYLE)))
+        .route(login::PATH, post(login::enter))
         .route("/metrics", get(metrics))
+        .route("/api/v1/reasons", get(async || Json(reasons::ALL)))
         .route("/api/v1/status", get(status))
         .route("/api/v1/axes/{axis}", get(axis))
         .route("/api/v1/axes/{axis}/trend", get(trend))
         .route("/api/v1/axes/{axis}/cycles", get(cycles))
+        .route("/api/v1/axes/{axis}/healthy", get(healthy))
         .route("/api/v1/axes/{axis}/acknowledge", post(acknowledge))
         .route("/api/v1/axes/{axis}/new-baseline", post(new_baseline))
         .route("/api/v1/axes/{axis}/repairs", post(repairs))
@@ -136,7 +142,8 @@ fn routes(site: Arc<Site>) -> Router {
             let headers = response.headers_mut();
             headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
             headers.insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
-            headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+            // With none at all a browser would not say that the login form is this page's own.
+            headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("same-origin"));
             headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
             response
         }))
@@ -153,14 +160,17 @@ async fn admit(State(site): State<Arc<Site>>, request: Request, next: Next) -> R
     if let Err(what) = check_origin(&site, headers) {
         return problem(StatusCode::FORBIDDEN, what);
     }
-    if let Some(token) = &site.token {
+    if let Some(token) = &site.token
+        && !login::is_open(request.uri().path())
+    {
         let is_it = |brought: &str| same(brought.as_bytes(), token.as_bytes());
         if !bearer(headers).or_else(|| cookie(headers)).is_some_and(is_it) {
             return match by_query(&request) {
                 Some(brought) if is_it(&brought) => let_in(token),
+                _ if request.uri().path() == "/" => login::form(false),
                 _ => problem(
                     StatusCode::UNAUTHORIZED,
-                    "a token is needed: send `Authorization: Bearer TOKEN`, or open /?token=TOKEN once",
+                    "a token is needed: send `Authorization: Bearer TOKEN`, or open / and log in",
                 ),
             };
         }
@@ -277,8 +287,18 @@ async fn cycles(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Resp
     courses.map_or_else(|| no_axis(&site, &axis), |courses| Json(courses).into_response())
 }
 
-async fn acknowledge(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
-    order(&site, &axis, Order::Acknowledge, "acknowledged")
+/// What a healthy cycle is like, and the stretches of the duty cycle.
+async fn healthy(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
+    let healthy = site.hub.view(&axis, |view| json!({ "healthy": view.healthy, "phases": view.phases }));
+    healthy.map_or_else(|| no_axis(&site, &axis), |healthy| Json(healthy).into_response())
+}
+
+/// Takes note of the latched flag; the body, where there is one, says who does.
+async fn acknowledge(State(site): State<Arc<Site>>, Path(axis): Path<String>, body: Bytes) -> Response {
+    match Signature::from_json(&body) {
+        Ok(signature) => order(&site, &axis, Order::Acknowledge(signature), "acknowledged"),
+        Err(what) => problem(StatusCode::BAD_REQUEST, &what),
+    }
 }
 
 async fn new_baseline(State(site): State<Arc<Site>>, Path(axis): Path<String>) -> Response {
@@ -325,8 +345,8 @@ async fn healthz(State(site): State<Arc<Site>>) -> Response {
 
 /// The last events that are no cycles, oldest first.
 async fn history(State(site): State<Arc<Site>>) -> Response {
-    let events: Vec<String> = site.hub.history().iter().map(|event| event.json.clone()).collect();
-    ([(header::CONTENT_TYPE, "application/json")], format!("[{}]", events.join(","))).into_response()
+    let events = format!("[{}]", site.hub.history().join(","));
+    ([(header::CONTENT_TYPE, "application/json")], events).into_response()
 }
 
 #[derive(Deserialize)]
@@ -389,6 +409,7 @@ fn named(name: &str, value: &impl Serialize) -> sse::Event {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::hub::Acknowledgement;
     use seepd_monitor::event::Flag;
 
     fn site() -> (Arc<Site>, watch::Sender<bool>) {
@@ -398,13 +419,17 @@ mod tests {
         (Arc::new(Site { hub, clock: Clock::start(), token: None, listen, stop }), keep_open)
     }
 
+    fn nobody() -> Acknowledgement {
+        Acknowledgement { t_ns: 0, who: None, note: None }
+    }
+
     #[tokio::test]
     async fn a_name_with_line_breaks_ends_no_event_and_no_stream() {
         let (site, _keep_open) = site();
         let (sender, receiver) = mpsc::channel(32);
         tokio::spawn(feed(Arc::clone(&site), None, sender));
         tokio::task::yield_now().await;
-        site.hub.publish_acknowledged("press\r\n1", Some(Flag::Leak), 0);
+        site.hub.publish_acknowledged("press\r\n1", Some(Flag::Leak), &nobody());
         let stream = Sse::new(ReceiverStream::new(receiver)).into_response().into_body().into_data_stream();
         let text = first_piece_with(stream, "event: acknowledged").await;
         assert!(text.contains(r#""axis":"press\r\n1""#), "{text}");
@@ -429,7 +454,7 @@ mod tests {
         let task = tokio::spawn(feed(Arc::clone(&site), None, sender));
         tokio::task::yield_now().await;
         for _ in 0..2 * EVENTS_BEHIND {
-            site.hub.publish_acknowledged("press", None, 0);
+            site.hub.publish_acknowledged("press", None, &nobody());
             tokio::task::yield_now().await;
         }
         let mut heard = 0;

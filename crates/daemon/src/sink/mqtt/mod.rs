@@ -8,6 +8,7 @@
 //! is set aside, so that those behind it arrive.
 
 mod connection;
+mod home_assistant;
 pub mod spool;
 
 use std::collections::BTreeSet;
@@ -24,7 +25,7 @@ use self::connection::{Connection, ConnectionEvent, Link, Message};
 use crate::config::MqttConfig;
 use crate::failure::Failure;
 use crate::hub::SourceState;
-use crate::hub::{AxisStatus, Hub, NewRepair, Order, Publication};
+use crate::hub::{AxisStatus, Hub, NewRepair, Order, Publication, Signature};
 use crate::journal::Warnings;
 use crate::sink::mqtt::spool::{Counts, Spool};
 use seepd_monitor::event::Flag;
@@ -74,6 +75,8 @@ pub struct Broker {
     unwritten: Option<String>,
     /// What was last told of the axes, and when their counts are due.
     announced: Vec<StatusKey>,
+    /// Axes of which Home Assistant has been told.
+    discovered: Vec<String>,
     counts_at: Instant,
     warnings: Warnings,
 }
@@ -146,6 +149,7 @@ impl Broker {
             lost: 0,
             unwritten: None,
             announced: Vec::new(),
+            discovered: Vec::new(),
             counts_at: now,
             warnings: Warnings::new(now),
         })
@@ -293,6 +297,7 @@ impl Broker {
             return;
         }
         self.announced = keys;
+        self.send_discovery(&axes).await;
         self.counts_at = now() + COUNTS_EVERY;
         for status in axes {
             let json = serde_json::to_string(&status).unwrap_or_default();
@@ -300,9 +305,29 @@ impl Broker {
         }
     }
 
+    /// Tells Home Assistant of the axes, once a connection; of one that is there no more it is told that it has gone.
+    async fn send_discovery(&mut self, axes: &[AxisStatus]) {
+        let Some(of) = self.link.config.home_assistant.clone() else { return };
+        let names: Vec<String> = axes.iter().map(|status| status.axis.clone()).collect();
+        let before = std::mem::replace(&mut self.discovered, names.clone());
+        let prefix = self.link.config.prefix.clone();
+        for axis in names.iter().filter(|axis| !before.contains(axis)) {
+            let (topic, message) = home_assistant::discovery(&of, &prefix, axis);
+            self.publish_at(topic, message.to_string(), QoS::AtMostOnce, true).await;
+        }
+        for axis in before.iter().filter(|axis| !names.contains(axis)) {
+            let (topic, _) = home_assistant::discovery(&of, &prefix, axis);
+            self.publish_at(topic, String::new(), QoS::AtMostOnce, true).await;
+        }
+    }
+
     async fn publish(&mut self, topic: &str, message: String, qos: QoS, retain: bool) {
+        self.publish_at(self.link.topic(topic), message, qos, retain).await;
+    }
+
+    async fn publish_at(&mut self, topic: String, message: String, qos: QoS, retain: bool) {
         let Some(connection) = &self.connection else { return };
-        if let Err(error) = connection.publish(self.link.topic(topic), message, qos, retain).await {
+        if let Err(error) = connection.publish(topic, message, qos, retain).await {
             self.lose(&error);
         }
     }
@@ -312,6 +337,7 @@ impl Broker {
             ConnectionEvent::Connected => {
                 self.connected_since = Some(now());
                 self.announced.clear();
+                self.discovered.clear();
                 tracing::info!("connected to the broker at {}", self.link.place());
                 self.greet();
                 self.tell("connected");
@@ -344,7 +370,10 @@ impl Broker {
         let rest = message.topic.strip_prefix(&self.link.config.prefix);
         let rest = rest.and_then(|rest| rest.strip_prefix('/')).and_then(|rest| rest.rsplit_once('/'));
         let (axis, order) = match rest {
-            Some((axis, "acknowledge")) => (axis, Ok(Order::Acknowledge)),
+            // Any content acknowledges; one that says who does is kept.
+            Some((axis, "acknowledge")) => {
+                (axis, Ok(Order::Acknowledge(Signature::from_json(&message.content).unwrap_or_default())))
+            }
             Some((axis, "new_baseline")) => (axis, Ok(Order::Renew)),
             Some((axis, "repair")) => (axis, NewRepair::from_json(&message.content).map(Order::Repair)),
             _ => return,
