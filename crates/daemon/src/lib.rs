@@ -29,7 +29,7 @@ mod quantity;
 pub mod reasons;
 pub mod repair_log;
 pub mod sink;
-mod verdict;
+pub mod verdict;
 
 pub use cli::main;
 pub use failure::Failure;

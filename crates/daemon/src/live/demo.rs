@@ -4,7 +4,7 @@ use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use seepd_monitor::repair::RepairKind;
+use seepd_monitor::repair::{RepairKind, Repaired};
 use tokio::net::TcpListener;
 
 use super::press::{Seal, SimulatedPress};
@@ -17,6 +17,8 @@ use crate::private_folder::PrivateFolder;
 
 /// Name of the press.
 const AXIS: &str = "demo press";
+/// Who notes the seals that the press gets by itself.
+const FITTER: &str = "the demo";
 /// Cycles of which its baseline is learned.
 const LEARNED_CYCLES: usize = 20;
 
@@ -90,27 +92,29 @@ fn press(demo: &LiveDemo, daemon: &Daemon, seal: &Arc<Seal>) -> Result<ReadyAxis
     Ok(ReadyAxis { config, duty_cycles, source: LiveSource::Log(Box::new(log)) })
 }
 
-/// Fits a seal whenever the repair log says so, and notes a new one itself where nobody has and the old one is worn out.
+/// Notes the seals that the press has got because the old ones were worn out, and asks for one where somebody else has noted one.
 async fn look_after(hub: Arc<Hub>, seal: Arc<Seal>) {
     let mut changes = hub.changes();
     let (mut newest_ns, mut noted) = (None, 0);
     while changes.changed().await.is_ok() {
         let repairs = hub.axis(AXIS).map(|status| status.repairs).unwrap_or_default();
-        let of_seal = repairs.iter().rev().find(|done| done.repair.what == RepairKind::SealReplaced);
-        let at_ns = of_seal.map(|done| done.repair.at_ns);
+        let is_others = |done: &&Repaired| {
+            done.repair.what == RepairKind::SealReplaced && done.repair.who.as_deref() != Some(FITTER)
+        };
+        let at_ns = repairs.iter().rev().find(is_others).map(|done| done.repair.at_ns);
         if at_ns > newest_ns {
             newest_ns = at_ns;
-            seal.fitted.fetch_add(1, Ordering::Relaxed);
+            seal.asked_for.fetch_add(1, Ordering::Relaxed);
         }
-        let worn_out = seal.worn_out.load(Ordering::Relaxed);
-        if worn_out > noted.max(seal.fitted.load(Ordering::Relaxed)) {
+        let renewed = seal.renewed.load(Ordering::Relaxed);
+        if renewed > noted {
             let entry = NewRepair {
                 what: RepairKind::SealReplaced,
                 at: None,
-                who: Some("the demo".into()),
+                who: Some(FITTER.into()),
                 note: Some("the old one had worn out".into()),
             };
-            noted = if hub.order(AXIS, Order::Repair(entry)).is_ok() { worn_out } else { noted };
+            noted = if hub.order(AXIS, Order::Repair(entry)).is_ok() { renewed } else { noted };
         }
     }
 }

@@ -26,10 +26,10 @@ const COMMAND_NOISE: f64 = 0.001;
 /// What the press and whoever looks after it tell each other.
 #[derive(Debug, Default)]
 pub(super) struct Seal {
-    /// Seals that have worn out.
-    pub(super) worn_out: AtomicU64,
-    /// Seals that have been fitted since the first.
-    pub(super) fitted: AtomicU64,
+    /// Seals that were fitted because the one before had worn out.
+    pub(super) renewed: AtomicU64,
+    /// Seals that somebody asked for.
+    pub(super) asked_for: AtomicU64,
 }
 
 /// See the [module](self).
@@ -42,7 +42,7 @@ pub(super) struct SimulatedPress {
     tick: u64,
     noise: Noise,
     seal: Arc<Seal>,
-    /// Seals fitted, as far as the press has got them.
+    /// Of the seals that were asked for, those that it has got.
     has_got: u64,
 }
 
@@ -65,21 +65,25 @@ impl SimulatedPress {
         }
     }
 
-    /// Between two cycles: a new seal, where one has been fitted.
+    fn is_asked_for_seal(&self) -> bool {
+        self.seal.asked_for.load(Ordering::Relaxed) > self.has_got
+    }
+
+    /// Between two cycles: a new seal, where the old one has worn out or one has been asked for.
     fn look_at_seal(&mut self) {
-        let fitted = self.seal.fitted.load(Ordering::Relaxed);
-        if fitted > self.has_got {
-            self.has_got = fitted;
+        let is_worn_out = self.run >= HEALTHY_CYCLES + WEARING_CYCLES + WORN_CYCLES;
+        if is_worn_out {
+            self.seal.renewed.fetch_add(1, Ordering::Relaxed);
+        }
+        if is_worn_out || self.is_asked_for_seal() {
+            self.has_got = self.seal.asked_for.load(Ordering::Relaxed);
             self.schedule = life_of_a_seal(&self.spec, &mut self.noise);
             self.run = 0;
-        }
-        if self.run >= HEALTHY_CYCLES + WEARING_CYCLES + WORN_CYCLES {
-            self.seal.worn_out.store(self.has_got + 1, Ordering::Relaxed);
         }
     }
 }
 
-/// The cycles of a seal, from new to worn out; it stays as it is after them.
+/// The cycles of a seal, from new to worn out.
 fn life_of_a_seal(spec: &MachineSpec, noise: &mut Noise) -> Schedule {
     let run = |cycle: usize| {
         let leak_area_m2 = match cycle.checked_sub(HEALTHY_CYCLES) {
@@ -105,7 +109,11 @@ impl Source for SimulatedPress {
                 drive = self.schedule.next();
             }
         }
-        let Some(drive) = drive else { return Ok(None) };
+        let Some(mut drive) = drive else { return Ok(None) };
+        if self.is_asked_for_seal() {
+            // What is left of the cycle in which it is fitted.
+            drive.leak_area_m2 = 0.0;
+        }
         let record = self.machine.tick(&mut self.state, &Input::gather(&[drive]));
         let time_ns = (self.tick as f64 * self.spec.controller.period_s * 1e9).round() as i64;
         self.tick += 1;
@@ -132,21 +140,27 @@ mod tests {
     }
 
     #[test]
-    fn the_seal_wears_stays_worn_and_is_as_new_once_it_is_replaced() {
+    fn the_seal_wears_and_is_as_new_once_it_is_worn_out_or_one_is_asked_for() {
         let seal = Arc::new(Seal::default());
         let mut press = SimulatedPress::new(1, Arc::clone(&seal));
         effort(&mut press);
         let new = effort(&mut press);
-        for _ in 2..HEALTHY_CYCLES + WEARING_CYCLES + WORN_CYCLES {
-            assert_eq!(seal.worn_out.load(Ordering::Relaxed), 0);
-            effort(&mut press);
-        }
-        let worn = effort(&mut press);
-        assert!(seal.worn_out.load(Ordering::Relaxed) == 1 && worn > 1.02 * new, "{new} {worn}");
-        seal.fitted.store(1, Ordering::Relaxed);
+        let life = HEALTHY_CYCLES + WEARING_CYCLES + WORN_CYCLES;
+        let worn = (2..life).map(|_| effort(&mut press)).last().unwrap();
+        assert!(seal.renewed.load(Ordering::Relaxed) == 0 && worn > 1.02 * new, "{new} {worn}");
         effort(&mut press);
         let renewed = effort(&mut press);
+        assert_eq!(seal.renewed.load(Ordering::Relaxed), 1);
         assert!((renewed / new - 1.0).abs() < 0.01, "{new} {renewed}");
+        // Somebody asks for one halfway.
+        for _ in 2..life / 2 + HEALTHY_CYCLES {
+            effort(&mut press);
+        }
+        seal.asked_for.store(1, Ordering::Relaxed);
+        effort(&mut press);
+        let asked = effort(&mut press);
+        assert!((asked / new - 1.0).abs() < 0.01, "{new} {asked}");
+        assert_eq!(seal.renewed.load(Ordering::Relaxed), 1);
         // Time goes on: it is one machine.
         let before_ns = press.next_sample().unwrap().unwrap().time_ns;
         assert_eq!(press.next_sample().unwrap().unwrap().time_ns - before_ns, 1_000_000);

@@ -22,6 +22,12 @@ const moment = (ns) => isDate(ns) ? new Date(ns / 1e6).toLocaleString(undefined,
 // An axis's own time, which a log's may be.
 const nowOf = (axis) => axis.stale || axis.t_sample_ns === null ? status.now_ns : axis.t_sample_ns;
 
+// For how long it has been what it is; nothing where the two times are not of one clock.
+function howLong(axis) {
+  const [since, now] = [axis.since_ns, nowOf(axis)];
+  return since === null || isDate(since) !== isDate(now) ? "" : "for " + span(Math.max(0, now - since) / 1e9);
+}
+
 // Seconds as a person says them.
 function span(seconds) {
   const units = [["days", 86400], ["hours", 3600], ["minutes", 60]];
@@ -157,7 +163,7 @@ function showOverview(overview) {
     flag.textContent = FLAGS[axis.flag];
     const latched = axis.latched && !axis.acknowledged && axis.latched !== axis.flag ? "was " + FLAGS[axis.latched] + ", not acknowledged" : "";
     const size = axis.flag === "no_estimate" ? told(axis.reason) : axis.leak_flow_lpm === null ? "" : number(axis.leak_flow_lpm) + " L/min";
-    more.textContent = [size, axis.since_ns === null ? "" : "for " + span((nowOf(axis) - axis.since_ns) / 1e9), latched].filter(Boolean).join(" · ");
+    more.textContent = [size, howLong(axis), latched].filter(Boolean).join(" · ");
   });
   byId("machine").textContent = chosen;
 }
@@ -170,12 +176,13 @@ function showCondition(axis) {
   byId("flag").textContent = FLAGS[axis.flag];
   byId("verdict").textContent = axis.verdict;
   say(byId("todo"), axis.to_do);
-  say(byId("advice"), axis.advice || "");
+  // What was seen in the command; what to do about it stands above.
+  say(byId("advice"), (axis.advice || "").replace(axis.to_do, "").trim());
   showWhy(axis);
   byId("flow").textContent = known ? number(axis.leak_flow_lpm) : "–";
   byId("interval").textContent = sizeText(axis, known);
   byId("since").textContent = axis.since_ns === null ? "it was first watched"
-    : moment(axis.since_ns) + ", for " + span(Math.max(0, nowOf(axis) - axis.since_ns) / 1e9);
+    : [moment(axis.since_ns), howLong(axis)].filter(Boolean).join(", ");
   byId("part").textContent = partText(axis);
   byId("until").textContent = untilText(axis);
   byId("cost").textContent = !known || axis.leak_power_w === undefined ? "–"
