@@ -8,7 +8,7 @@ use std::time::Duration;
 use serde_json::Value;
 
 use crate::daemon::{Daemon, ask, ask_with, axis_status, cycle, free_port, has, json, machine_toml, until};
-use crate::support::{simulate, stderr};
+use crate::support::{seepd, simulate, stderr, stdout};
 
 const SOON: Duration = Duration::from_secs(20);
 const TOKEN: &str = "0123456789abcdef0123";
@@ -49,13 +49,42 @@ fn run_into_alarm(folder: &Path) {
     assert!(Daemon::start(folder, &of_log).wait().success());
 }
 
-#[test]
-fn the_page_answers_in_every_state_on_desk_and_phone_in_light_and_dark() {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/browser/window.cjs");
-    let modules = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/node/node_modules");
+/// Runs a script in a browser, where there is one; pictures stay where SEEPD_SCREENSHOTS says.
+fn in_browser(script: &str, folder: &Path, place: &str, more: &[&str]) {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let modules = root.join("target/node/node_modules");
     if !has("chromium") || !has("node") || !modules.join("playwright-core").exists() {
         return;
     }
+    let pictures = std::env::var_os("SEEPD_SCREENSHOTS").map_or_else(|| folder.to_owned(), PathBuf::from);
+    let output = Command::new("node")
+        .arg(root.join("tests/browser").join(script))
+        .arg(place)
+        .arg(pictures)
+        .args(more)
+        .env("NODE_PATH", modules)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+}
+
+#[test]
+fn a_report_reads_well_on_a_phone_and_on_paper() {
+    let folder = tempfile::tempdir().unwrap();
+    let [healthy, worn, baseline, report] =
+        ["healthy.mcap", "worn.mcap", "b.json", "report.html"].map(|name| folder.path().join(name));
+    simulate(&healthy, &["--cycles", "24", "--load-variation", "0.05"]);
+    simulate(&worn, &["--cycles", "24", "--leak-area", "2e-8", "--leak-growth", "8e-7"]);
+    let text = |path: &Path| path.to_str().unwrap().to_owned();
+    stdout(&seepd(["learn-baseline", "--out", &text(&baseline), &text(&healthy)]));
+    stdout(&seepd(["replay", "--baseline", &text(&baseline), "--html", &text(&report), &text(&worn)]));
+    let page = fs::read_to_string(&report).unwrap();
+    assert!(page.contains("Stop the machine as soon as it can be stopped"), "what to do");
+    in_browser("report.cjs", folder.path(), &text(&report), &[]);
+}
+
+#[test]
+fn the_page_answers_in_every_state_on_desk_and_phone_in_light_and_dark() {
     let folder = tempfile::tempdir().unwrap();
     let port = free_port();
     run_into_alarm(folder.path());
@@ -71,17 +100,7 @@ fn the_page_answers_in_every_state_on_desk_and_phone_in_light_and_dark() {
             && axes.iter().filter(has_ended).count() == 2
             && axes.iter().any(|axis| axis["reason"] == "stale")
     });
-    let pictures =
-        std::env::var_os("SEEPD_SCREENSHOTS").map_or_else(|| folder.path().to_owned(), PathBuf::from);
-    let output = Command::new("node")
-        .arg(script)
-        .arg(format!("http://localhost:{port}/"))
-        .arg(&pictures)
-        .arg(TOKEN)
-        .env("NODE_PATH", modules)
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{}", stderr(&output));
+    in_browser("window.cjs", folder.path(), &format!("http://localhost:{port}/"), &[TOKEN]);
 }
 
 #[test]

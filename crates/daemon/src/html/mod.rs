@@ -45,7 +45,7 @@ th,td{text-align:left;padding:.3rem .9rem .3rem 0;border-bottom:1px solid var(--
 .tag{display:inline-block;white-space:nowrap;padding:0 .5em;border-radius:4px;color:var(--on-flag)}footer{margin-top:2.5rem;font-size:.85rem;color:var(--soft)}
 .scroll{overflow-x:auto}svg.narrow{display:none}@media screen and (max-width:40rem){main{padding:1rem .8rem 2rem}h1{font-size:1.35rem}.grid-2,.grid-3{grid-template-columns:1fr}
 .tiles{grid-template-columns:repeat(auto-fit,minmax(9.5rem,1fr))}svg.wide{display:none}svg.narrow{display:block}figure{padding:.3rem .2rem}td,th{padding-right:.7rem}}
-@media print{main{padding:0;max-width:none}figure,tr,.tiles{break-inside:avoid}h2,h2+p{break-after:avoid}.tag{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
+@media print{main{padding:0;max-width:none}.grid-3{grid-template-columns:repeat(2,1fr)}figure,tr,.tiles{break-inside:avoid}h2,h2+p{break-after:avoid}.tag{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
 ";
 
 /// A page of that title and body.
