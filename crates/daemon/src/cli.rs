@@ -40,6 +40,7 @@ enum Command {
     Replay(commands::replay::ReplayArguments),
     LearnBaseline(commands::learn_baseline::LearnBaselineArguments),
     Evaluate(commands::evaluate::EvaluateArguments),
+    Bound(commands::bound::BoundArguments),
     Repair(commands::repair::RepairArguments),
     #[cfg(feature = "live")]
     Run(commands::run::RunArguments),
@@ -99,6 +100,7 @@ pub fn run(arguments: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> 
         Command::Replay(arguments) => commands::replay::run(arguments),
         Command::LearnBaseline(arguments) => commands::learn_baseline::run(arguments),
         Command::Evaluate(arguments) => commands::evaluate::run(arguments),
+        Command::Bound(arguments) => commands::bound::run(arguments),
         Command::Repair(arguments) => commands::repair::run(arguments),
         #[cfg(feature = "live")]
         Command::Run(arguments) => commands::run::run(arguments),

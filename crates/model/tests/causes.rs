@@ -1,6 +1,6 @@
 //! Named causes from closed forms: a file of four cells over two phases, in which noise is even and nothing varies ordinarily.
 
-use seepd_model::causes::{Cause, Change, ChangeVerdict, Kind, SizeUnit};
+use seepd_model::causes::{Cause, Change, ChangeVerdict, Kind, KnownConditions, SizeUnit};
 use seepd_model::schema::{CausesFile, CellFile};
 use seepd_model::{Causes, ModelError};
 
@@ -114,4 +114,19 @@ fn a_damaged_part_is_refused_with_its_place() {
     let error =
         Causes::from_file(CausesFile { golden: vec![golden], ..file() }).expect_err("it must be refused");
     assert!(matches!(error, ModelError::Golden { ref path, .. } if path == "causes.golden[0]"), "{error}");
+}
+
+/// A leak of 2e-7 m² moves two means by 0.004 each: σ / (√2 · 0.004 / 2e-7). Where one of the two varies ordinarily beyond all noise, the other is left.
+#[test]
+fn analytic_bound_of_a_leak() {
+    let mut file = file();
+    let least = |file: &CausesFile, conditions| {
+        let causes = Causes::from_file(file.clone()).expect("a file that is in order");
+        causes.least_leak_deviation_m2(1e-4, conditions).expect("a leak")
+    };
+    let alone = 1e-4 / (0.004 / 2e-7);
+    assert!((least(&file, KnownConditions::No) / (alone / 2_f64.sqrt()) - 1.0).abs() < 1e-6);
+    file.ordinary[0] = 1.0;
+    assert!((least(&file, KnownConditions::No) / alone - 1.0).abs() < 1e-6);
+    assert!((least(&file, KnownConditions::Yes) / (alone / 2_f64.sqrt()) - 1.0).abs() < 1e-6);
 }

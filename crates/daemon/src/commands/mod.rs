@@ -6,6 +6,7 @@ pub mod adopt;
 pub mod adopt_blind;
 #[cfg(feature = "gap")]
 pub mod blind;
+pub mod bound;
 #[cfg(feature = "gap")]
 pub mod cause_blind;
 pub mod check;

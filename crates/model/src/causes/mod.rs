@@ -6,6 +6,7 @@
 //! then add; Bayes' rule weighs these hypotheses. [`CausesFile`] has the numbers.
 
 mod alike;
+mod bound;
 mod fit;
 mod verdict;
 
@@ -20,6 +21,7 @@ use crate::error::ModelError;
 use crate::model::agree;
 use crate::schema::{CausesFile, CausesGolden};
 
+pub use bound::KnownConditions;
 pub use verdict::{Candidate, ChangeVerdict, Explanation};
 
 /// Most numbers that a change has: mean and rise of each phase.
