@@ -140,7 +140,15 @@ fn reference_fmpy_simulates_the_electric_axis_to_our_numbers() {
         .map(|tick| {
             let at_s = tick as f64 * 1e-3;
             let demand_m = axis.cycle.demand_m(at_s);
-            DriveSample { run: 0, at_s, demand_m, load_n: 0.0, load_end_n: 0.0, leak_area_m2: 0.0 }
+            DriveSample {
+                run: 0,
+                at_s,
+                demand_m,
+                command: 0.0,
+                load_n: 0.0,
+                load_end_n: 0.0,
+                leak_area_m2: 0.0,
+            }
         })
         .collect();
     let mut ours = Vec::new();

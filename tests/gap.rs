@@ -416,7 +416,15 @@ fn an_electric_axis_is_diagnosed_by_its_own_plant_file() {
         .map(|tick| {
             let at_s = (tick % ticks) as f64 * axis.controller.period_s;
             let demand_m = axis.cycle.demand_m(at_s);
-            DriveSample { run: 0, at_s, demand_m, load_n: 0.0, load_end_n: 0.0, leak_area_m2: 0.0 }
+            DriveSample {
+                run: 0,
+                at_s,
+                demand_m,
+                command: 0.0,
+                load_n: 0.0,
+                load_end_n: 0.0,
+                leak_area_m2: 0.0,
+            }
         })
         .collect();
     let mut text = String::from("t_s;volts;reference;measured\n");

@@ -50,7 +50,15 @@ fn log(folder: &Path, friction_n: f64) -> PathBuf {
         .map(|tick| {
             let at_s = (tick % ticks) as f64 * axis.controller.period_s;
             let demand_m = axis.cycle.demand_m(at_s);
-            DriveSample { run: 0, at_s, demand_m, load_n: 0.0, load_end_n: 0.0, leak_area_m2: 0.0 }
+            DriveSample {
+                run: 0,
+                at_s,
+                demand_m,
+                command: 0.0,
+                load_n: 0.0,
+                load_end_n: 0.0,
+                leak_area_m2: 0.0,
+            }
         })
         .collect();
     let mut text = String::from("t_s,command,demand,position\n");

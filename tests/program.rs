@@ -17,6 +17,7 @@ mod encodings;
 mod evaluate;
 mod export_fmu;
 mod gap;
+mod gap_cylinder;
 mod gap_fmu;
 mod gap_learned;
 mod gap_next_test;

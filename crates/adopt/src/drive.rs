@@ -183,7 +183,7 @@ fn simulated_command(spec: &MachineSpec, demand: &[f64], load_n: &[f64]) -> Vec<
     let ticks = demand.len();
     let drive = drive_of(&[demand, demand].concat(), &[load_n, load_n].concat(), spec.controller.period_s);
     let mut command = Vec::with_capacity(ticks);
-    follow(std::slice::from_ref(spec), &drive, |tick, signals| {
+    follow(std::slice::from_ref(spec), &drive, None, |tick, signals| {
         if tick >= ticks {
             command.push(signals.command.0[0]);
         }
@@ -196,6 +196,7 @@ fn drive_of(demand: &[f64], load_n: &[f64], tick_s: f64) -> Vec<DriveSample> {
         run: 0,
         at_s: tick as f64 * tick_s,
         demand_m: demand[tick],
+        command: 0.0,
         load_n: load_n[tick],
         load_end_n: load_n[(tick + 1) % load_n.len()],
         leak_area_m2: 0.0,

@@ -101,7 +101,7 @@ pub fn calibrate<A: SimulatedAxis>(
         parameters,
         gaps: [by_signal(&gaps[0]), by_signal(&gaps[1])],
         floor: by_signal(&record.floor),
-        recorded: record.mean(held_out.cycles),
+        recorded: record.mean(&record.alike(held_out.cycles)),
         simulated,
         posterior: Posterior::of(&fit),
         machine: fit.spec,

@@ -42,7 +42,7 @@ const END: usize = 3;
 /// The change of a record's machine; `None` where its cycles have no order, or are too few to tell.
 pub(crate) fn change(record: &Record) -> Option<Change> {
     let count = record.cycles.len();
-    if count < ENOUGH_CYCLES {
+    if count < ENOUGH_CYCLES || record.is_open_loop {
         return None;
     }
     let found = ordered_component(record)?;

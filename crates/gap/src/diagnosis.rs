@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use seepd_signals::Signal;
 use seepd_sim::effects::EffectInfo;
 use seepd_sim::learned::Site;
 use seepd_sim::real::LANES;
@@ -12,7 +13,7 @@ use crate::learn::{LearnedMachine, learn};
 use crate::next_test::{Candidate as NextTestCandidate, NextTest, next_test};
 use crate::places::{phase_spans, places};
 use crate::rank::{Ranking, rank};
-use crate::record::{BINS, ENOUGH_CYCLES, Record};
+use crate::record::{BINS, ENOUGH_CYCLES, Record, binned};
 use crate::report::{
     CalibratedValue, ChangeWithin, Curves, CycleCounts, Diagnosis, Gaps, Leaks, LearnedCurve, Place,
     RankedEffect, Shrink, Verdict,
@@ -20,7 +21,7 @@ use crate::report::{
 use crate::screen::{CalibrationProjector, Candidate, screen};
 use crate::search::{Explanation, SearchResult, search};
 use crate::shrink::{HeldOut, attributed};
-use crate::simulate::binned_signals;
+use crate::simulate::{BinnedSignals, Drive, binned_signals, bins_of};
 use crate::simulated_axis::SimulatedAxis;
 use crate::transducers::SensorError;
 
@@ -206,8 +207,23 @@ pub fn nominal_gap<A: SimulatedAxis>(record: &Record, spec: &A) -> BTreeMap<&'st
 }
 
 /// Cycles that are fitted to, and every third, which is held out.
+///
+/// Of runs it is every third with the same command and the same signals; where none is repeated so often, the gaps are those of the runs that
+/// were fitted to.
 pub(crate) fn split(record: &Record) -> (Vec<usize>, Vec<usize>) {
-    (0..record.cycles.len()).partition(|cycle| cycle % 3 != 2)
+    let all = 0..record.cycles.len();
+    if !record.is_open_loop {
+        return all.partition(|cycle| cycle % 3 != 2);
+    }
+    let mut seen: BTreeMap<(usize, Vec<bool>), usize> = BTreeMap::new();
+    let (fitted, held_out): (Vec<usize>, Vec<usize>) = all.partition(|cycle| {
+        let cycle = &record.cycles[*cycle];
+        let signals = cycle.bins.iter().map(|bins| bins[0].is_finite()).collect();
+        let before = seen.entry((cycle.group, signals)).or_default();
+        *before += 1;
+        *before % 3 != 0
+    });
+    if held_out.is_empty() { (fitted.clone(), fitted) } else { (fitted, held_out) }
 }
 
 /// The answer to a log that says nothing, with the reason.
@@ -486,8 +502,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         // The least likely ones, beyond a batch of lanes, have their gap on the first held-out cycle alone.
         let (likely, others) = machines.split_at(machines.len().min(LANES));
         let mut gaps = self.held_out.gaps(likely);
-        let first = HeldOut { cycles: &self.held_out.cycles[..1], ..*self.held_out };
-        gaps.extend(first.gaps(others));
+        gaps.extend(self.held_out.first().gaps(others));
         let shrink = |now: &[f64], to_floor: bool| self.held_out.shrink(&gaps[0], now, to_floor);
         let findings: Vec<RankedEffect> = effects
             .iter()
@@ -626,7 +641,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
     /// has its usual parameters calibrated and no more: constants and sensors that are free as well would move the rest from one balance to another.
     fn places(&self, errors: &[Option<SensorError>], iterations: usize) -> Vec<Place> {
         let record = self.record.without(errors);
-        let cycles: Vec<usize> = split(&record).0;
+        let cycles: Vec<usize> = record.alike(&split(&record).0);
         let problem = Problem::new(&record, &cycles).without_allowances();
         let mut free = free_parameters(self.spec);
         free.retain(|free| !free.is_hardly_told());
@@ -635,23 +650,27 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         let drive = &record.cycles[cycles[0]].drive;
         let machines = std::slice::from_ref(&calibrated);
         let simulated = binned_signals(machines, drive, &record.signals).swap_remove(0);
-        places(&record, &calibrated, &record.mean(&cycles), &simulated)
+        let shown = record.mean(&cycles);
+        let along = along(&calibrated, &record, &shown, drive);
+        places(&record, &along, &shown, &simulated)
     }
 
     /// What the held-out cycles show beside the three machines: nominal, calibrated, chosen.
     fn curves(&self, machines: &[A]) -> Curves {
-        let cycles = self.held_out.cycles;
+        let cycles = self.record.alike(self.held_out.cycles);
         let drive = &self.record.cycles[cycles[0]].drive;
+        let recorded = self.record.mean(&cycles);
+        let spec = along(self.spec, self.record, &recorded, drive);
         let mut shown = binned_signals(machines, drive, &self.record.signals).into_iter();
         let mut next = || shown.next().unwrap_or_default();
-        let width_s = self.spec.duty_cycle().period_s / BINS as f64;
+        let width_s = spec.duty_cycle().period_s / BINS as f64;
         Curves {
             t_s: (0..BINS).map(|bin| (bin as f64 + 0.5) * width_s).collect(),
-            recorded: self.record.mean(cycles),
+            recorded,
             nominal: next(),
             calibrated: next(),
             chosen: next(),
-            phases: phase_spans(self.spec),
+            phases: phase_spans(&spec),
         }
     }
 }
@@ -661,6 +680,21 @@ fn to_front<T>(list: &mut [T], index: usize) {
     if let Some(head) = list.get_mut(..=index) {
         head.rotate_right(1);
     }
+}
+
+/// The axis with a recorded run in the place of its duty cycle, if it is one of runs.
+fn along<A: SimulatedAxis>(spec: &A, record: &Record, shown: &BinnedSignals, drive: &Drive) -> A {
+    let Some(position_m) = bins_of(&record.signals, Signal::Position, shown) else { return spec.clone() };
+    let load_n = binned(&drive.iter().map(|sample| sample.load_n).collect::<Vec<f64>>());
+    spec.along(drive.len() as f64 * spec.tick_s(), &smoothed(position_m), &load_n)
+}
+
+/// Bins on either side over which a run's position is smoothed before its speed tells its phases.
+const SMOOTHED: usize = 5;
+
+fn smoothed(values: &[f64]) -> Vec<f64> {
+    let around = |bin: usize| &values[bin.saturating_sub(SMOOTHED)..(bin + SMOOTHED + 1).min(values.len())];
+    (0..values.len()).map(|bin| around(bin).iter().sum::<f64>() / around(bin).len() as f64).collect()
 }
 
 /// What wear has come to; NaN on an axis without.

@@ -12,7 +12,7 @@ use seepd_sim::real::LANES;
 use crate::calibration::Known;
 use crate::record::{BINS, Record, mean_drive};
 use crate::screen::spans_decades;
-use crate::simulate::{BinnedSignals, binned_signals};
+use crate::simulate::{BinnedSignals, Drive, binned_signals};
 use crate::simulated_axis::{CalibratedParameter, Scale, SimulatedAxis};
 use crate::transducers::Allowance;
 
@@ -167,7 +167,7 @@ impl Free {
 pub(crate) struct Problem<'r> {
     /// The record.
     pub(crate) record: &'r Record,
-    drives: Vec<Vec<DriveSample>>,
+    drives: Vec<Drive>,
     shown: Vec<BinnedSignals>,
     /// One over the expected error of each signal, with the square root of the share that a bin counts.
     weights: Vec<f64>,
@@ -190,24 +190,28 @@ const RELAXED_ITERATIONS: usize = 4;
 impl<'r> Problem<'r> {
     /// A problem of some of the record's cycles.
     pub(crate) fn new(record: &'r Record, cycles: &[usize]) -> Self {
-        let (mut drives, mut shown) = if same_drive(record, cycles) {
-            (vec![mean_drive(record, cycles)], vec![record.mean(cycles)])
+        let groups: Vec<Vec<usize>> = if record.is_open_loop {
+            record.by_group(cycles)
+        } else if same_drive(record, cycles) {
+            vec![cycles.to_vec()]
         } else {
             let step = cycles.len().div_ceil(DRIVES).max(1);
-            let chosen = cycles.iter().step_by(step);
-            chosen
-                .map(|cycle| (record.cycles[*cycle].drive.clone(), record.cycles[*cycle].bins.clone()))
-                .unzip()
+            cycles.iter().step_by(step).map(|cycle| vec![*cycle]).collect()
         };
-        let averaged = if drives.len() == 1 { cycles.len() as f64 } else { 1.0 };
-        let bins = (BINS * drives.len()) as f64;
+        let (mut drives, mut shown): (Vec<Drive>, Vec<BinnedSignals>) =
+            groups.iter().map(|group| (mean_drive(record, group), record.mean(group))).unzip();
         // A test counts beside the cycles, by the same expected errors.
         let of_test = record.test.as_ref().map_or(0.0, |(_, cycles)| 1.0 / *cycles as f64);
         let (weights, noise): (Vec<f64>, Vec<f64>) = record
             .floor
             .iter()
             .zip(&record.range)
-            .map(|(floor, range)| {
+            .enumerate()
+            .map(|(signal, (floor, range))| {
+                let repeated = groups.iter().map(|group| record.with_signal(group, signal).count());
+                let repeated: Vec<usize> = repeated.filter(|cycles| *cycles > 0).collect();
+                let bins = (BINS * repeated.len()) as f64;
+                let averaged = repeated.iter().sum::<usize>() as f64 / repeated.len() as f64;
                 let noise = floor * floor / averaged;
                 let expected = noise + MODEL_ERROR * MODEL_ERROR;
                 let left = (noise + floor * floor * of_test) / expected;
@@ -230,6 +234,10 @@ impl<'r> Problem<'r> {
             for (row, view) in rows.iter_mut().zip(binned_signals(machines, drive, &self.record.signals)) {
                 for ((simulated, recorded), weight) in view.iter().zip(shown).zip(&self.weights) {
                     row.extend(simulated.iter().zip(recorded).map(|(a, b)| {
+                        // What this run has no transducer for.
+                        if b.is_nan() {
+                            return 0.0;
+                        }
                         let difference = (a - b) * weight;
                         // A simulation that went out of bounds is as far off as can be.
                         if difference.is_finite() { difference.clamp(-1e3, 1e3) } else { 1e3 }
@@ -242,7 +250,7 @@ impl<'r> Problem<'r> {
     }
 
     /// The drives along which machines are compared.
-    pub(crate) fn drives(&self) -> &[Vec<DriveSample>] {
+    pub(crate) fn drives(&self) -> &[Drive] {
         &self.drives
     }
 
@@ -344,7 +352,7 @@ fn same_drive(record: &Record, cycles: &[usize]) -> bool {
         let range = all().fold(f64::NEG_INFINITY, f64::max) - all().fold(f64::INFINITY, f64::min);
         let Some(first) = cycles.first().map(|cycle| &record.cycles[*cycle].drive) else { return false };
         cycles.iter().any(|cycle| {
-            let pairs = record.cycles[*cycle].drive.iter().zip(first).step_by(10);
+            let pairs = record.cycles[*cycle].drive.iter().zip(first.iter()).step_by(10);
             let n = pairs.len().max(1) as f64;
             let square: f64 = pairs.map(|(a, b)| (of(a) - of(b)).powi(2)).sum();
             (square / n).sqrt() > SAME_DRIVE * range

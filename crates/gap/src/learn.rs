@@ -9,7 +9,6 @@
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;
 use seepd_signals::Signal;
-use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::Effect;
 use seepd_sim::learned::{Argument, LearnedLaw};
 
@@ -146,7 +145,7 @@ impl Travelled {
             .iter()
             .map(|drive| {
                 let shown = binned_signals(std::slice::from_ref(machine), drive, &signals).swap_remove(0);
-                let demand: Vec<f64> = drive.iter().map(|sample: &DriveSample| sample.demand_m).collect();
+                let demand: Vec<f64> = drive.iter().map(|sample| sample.demand_m).collect();
                 (shown, binned(&demand), drive.len() as f64 * machine.tick_s() / BINS as f64)
             })
             .collect();

@@ -14,7 +14,7 @@ use serde::Serialize;
 use crate::fit::{Fit, INDEPENDENT, MODEL_ERROR, normal_matrix};
 use crate::rank::TEMPER;
 use crate::record::{BINS, Record};
-use crate::simulate::{BinnedSignals, binned_signals};
+use crate::simulate::{BinnedSignals, Drive, binned_signals};
 use crate::simulated_axis::SimulatedAxis;
 
 /// Probability from which an explanation is worth telling from the others, and most of them.
@@ -100,7 +100,7 @@ pub(crate) fn next_test<A: SimulatedAxis>(
     let mut proposals: Vec<Proposal> = moves(record, spec)
         .into_iter()
         .map(|(what, cycle)| {
-            let drive = drive_of(&cycle, spec.tick_s());
+            let drive = Drive::from(drive_of(&cycle, spec.tick_s()));
             Tried { signals: record.signals.clone(), drive, what, sensor: None, cycle }
         })
         .chain(sensors(record, spec))
@@ -117,7 +117,7 @@ struct Tried {
     what: String,
     sensor: Option<Signal>,
     signals: Vec<Signal>,
-    drive: Vec<DriveSample>,
+    drive: Drive,
     cycle: DutyCycle,
 }
 
@@ -420,6 +420,7 @@ fn drive_of(cycle: &DutyCycle, tick_s: f64) -> Vec<DriveSample> {
                 run: 0,
                 at_s,
                 demand_m: cycle.demand_m(at_s),
+                command: 0.0,
                 load_n: cycle.load_n(at_s),
                 load_end_n: cycle.load_n(at_s + tick_s),
                 leak_area_m2: 0.0,

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use seepd_signals::Signal;
 use seepd_sim::SimulatedSignals;
 use seepd_sim::batch::follow;
-use seepd_sim::cycle::DriveSample;
+use seepd_sim::cycle::{DriveSample, LoadCorner, Move, RunStart};
 use seepd_sim::effects::{self, EffectInfo, Parameter};
 use seepd_sim::learned::{self, LearnedLaw, Site};
 use seepd_sim::real::{LANES, Lanes};
@@ -40,8 +40,15 @@ const HARDLY_TOLD: &[(&str, f64, f64, f64)] = &[
 ];
 /// The return pressure is calibrated by addition: largest value, and standard deviation, Pa.
 const RETURN_PRESSURE_PA: (f64, f64) = (2.5e6, 2e5);
+/// Effects of the loop: without a controller there are none.
+const OF_A_LOOP: [&str; 2] = ["controller_gains", "controller_clock"];
 /// Largest leak that is fitted, and its unit in the fit, m², for a valve of the nominal size.
 const LEAK_M2: (f64, f64) = (3e-5, 1e-7);
+
+/// Whether an effect is an event at a time in the duty cycle.
+fn has_times(effect: &EffectInfo) -> bool {
+    (0..effect.parameters.len()).any(|index| effect.is_time(index))
+}
 
 /// The prior of a parameter whose bounds the file gives: one who gives wide bounds knows little.
 fn prior_within((low, high): (f64, f64), usual: f64) -> f64 {
@@ -53,12 +60,15 @@ fn symbol_of(key: &'static str) -> &'static str {
 }
 
 impl SimulatedAxis for MachineSpec {
+    /// Without a controller, what acts on one and what happens at a time in a duty cycle is no explanation.
     fn catalogue(&self) -> Vec<&'static EffectInfo> {
-        effects::ALL.iter().map(|effect| effect.info()).collect()
+        let can_be =
+            |info: &&EffectInfo| !self.is_open_loop() || !(OF_A_LOOP.contains(&info.key) || has_times(info));
+        effects::ALL.iter().map(|effect| effect.info()).filter(can_be).collect()
     }
 
     fn learnable(&self) -> &'static [&'static LearnedLaw] {
-        &learned::ALL
+        if self.is_open_loop() { &learned::OPEN_LOOP } else { &learned::ALL }
     }
 
     /// Some percent of what the machine's own forces and flows are.
@@ -175,38 +185,24 @@ impl SimulatedAxis for MachineSpec {
         warm_up: usize,
         signals: &[Signal],
     ) -> Vec<BinnedSignals> {
-        let ticks = drive.len() - warm_up;
-        machines
-            .par_chunks(LANES)
-            .flat_map_iter(|machines| {
-                let mut machines: Vec<MachineSpec> = machines.iter().map(softer_at_the_inlet).collect();
-                // A batch takes the steps of the stiffest.
-                let steps = machines.iter().map(least_steps).max().unwrap_or(1);
-                machines.iter_mut().for_each(|machine| machine.controller.steps_per_period = steps);
-                let mut sums = vec![vec![[0.0; LANES]; BINS]; signals.len()];
-                let mut counts = vec![0u32; BINS];
-                follow(&machines, drive, |tick, record| {
-                    let Some(tick) = tick.checked_sub(warm_up) else { return };
-                    let bin = bin_of(tick, ticks);
-                    counts[bin] += 1;
-                    for (signal, sums) in signals.iter().zip(&mut sums) {
-                        for (sum, value) in sums[bin].iter_mut().zip(of(record, *signal).0) {
-                            *sum += value;
-                        }
-                    }
-                });
-                let view = |lane: usize| -> BinnedSignals {
-                    let mean = |bins: &Vec<[f64; LANES]>| {
-                        bins.iter()
-                            .zip(&counts)
-                            .map(|(sum, count)| sum[lane] / f64::from((*count).max(1)))
-                            .collect()
-                    };
-                    sums.iter().map(mean).collect()
-                };
-                (0..machines.len()).map(view).collect::<Vec<BinnedSignals>>()
-            })
-            .collect()
+        simulated(machines, drive, (warm_up, None), signals)
+    }
+
+    fn run_from(
+        machines: &[Self],
+        start: &RunStart,
+        drive: &[DriveSample],
+        signals: &[Signal],
+    ) -> Vec<BinnedSignals> {
+        simulated(machines, drive, (0, Some(start)), signals)
+    }
+
+    fn is_open_loop(&self) -> bool {
+        self.controller.is_none()
+    }
+
+    fn along(&self, period_s: f64, position_m: &[f64], load_n: &[f64]) -> Self {
+        if self.is_open_loop() { with_run(self, period_s, position_m, load_n) } else { self.clone() }
     }
 
     fn imbalances(&self, signals: &[Signal], view: &BinnedSignals) -> Imbalances {
@@ -216,6 +212,85 @@ impl SimulatedAxis for MachineSpec {
     fn contradiction(&self, signals: &[Signal], cycle: &RecordedCycle) -> Option<String> {
         inverted_command(signals, cycle).or_else(|| swapped_chambers(self, signals, cycle))
     }
+}
+
+/// What machines show in bins along a drive: after a warm-up of some ticks, or from where a run starts.
+fn simulated(
+    machines: &[MachineSpec],
+    drive: &[DriveSample],
+    (warm_up, start): (usize, Option<&RunStart>),
+    signals: &[Signal],
+) -> Vec<BinnedSignals> {
+    let ticks = drive.len() - warm_up;
+    machines
+        .par_chunks(LANES)
+        .flat_map_iter(|machines| {
+            let mut machines: Vec<MachineSpec> = machines.iter().map(softer_at_the_inlet).collect();
+            // A batch takes the steps of the stiffest.
+            let steps = machines.iter().map(least_steps).max().unwrap_or(1);
+            machines.iter_mut().for_each(|machine| machine.controller.steps_per_period = steps);
+            let mut sums = vec![vec![[0.0; LANES]; BINS]; signals.len()];
+            let mut counts = vec![0u32; BINS];
+            follow(&machines, drive, start, |tick, record| {
+                let Some(tick) = tick.checked_sub(warm_up) else { return };
+                let bin = bin_of(tick, ticks);
+                counts[bin] += 1;
+                for (signal, sums) in signals.iter().zip(&mut sums) {
+                    for (sum, value) in sums[bin].iter_mut().zip(of(record, *signal).0) {
+                        *sum += value;
+                    }
+                }
+            });
+            let view = |lane: usize| -> BinnedSignals {
+                let mean = |bins: &Vec<[f64; LANES]>| {
+                    bins.iter()
+                        .zip(&counts)
+                        .map(|(sum, count)| sum[lane] / f64::from((*count).max(1)))
+                        .collect()
+                };
+                sums.iter().map(mean).collect()
+            };
+            (0..machines.len()).map(view).collect::<Vec<BinnedSignals>>()
+        })
+        .collect()
+}
+
+/// The machine with a run in the place of its duty cycle.
+fn with_run(machine: &MachineSpec, period_s: f64, position_m: &[f64], load_n: &[f64]) -> MachineSpec {
+    let (Some(first), Some(last)) = (position_m.first(), position_m.last()) else { return machine.clone() };
+    let at_s = |bin: usize| (bin as f64 + 0.5) * period_s / load_n.len() as f64;
+    let stroke = |from_s: f64, to_s: f64, to_m: f64, course: Vec<f64>| Move {
+        name: "run".into(),
+        from_s,
+        to_s,
+        to_m,
+        course,
+        wait_s: 0.0,
+    };
+    // A move goes from 0 to 1: a run that ends where it began goes there in two.
+    let turn = furthest_from(position_m, *first);
+    let turn_s = period_s * turn as f64 / position_m.len() as f64;
+    let share = |from: f64, to: f64| {
+        move |x: &f64| if to == from { 0.0 } else { ((x - from) / (to - from)).clamp(-0.5, 1.5) }
+    };
+    let (out, back) = position_m.split_at(turn);
+    let (end_m, begin_s) = (position_m[turn], 1e-3 * period_s);
+    let mut machine = machine.clone();
+    machine.cycle.period_s = period_s;
+    machine.cycle.moves = vec![
+        stroke(0.0, begin_s, *first, Vec::new()),
+        stroke(begin_s, turn_s.max(2.0 * begin_s), end_m, out.iter().map(share(*first, end_m)).collect()),
+        stroke(turn_s.max(2.0 * begin_s), period_s, *last, back.iter().map(share(end_m, *last)).collect()),
+    ];
+    let corner = |(bin, force_n): (usize, &f64)| LoadCorner { at_s: at_s(bin), force_n: *force_n };
+    machine.cycle.load = load_n.iter().enumerate().map(corner).collect();
+    machine
+}
+
+/// The bin at which the piston is furthest from a place, within the run.
+fn furthest_from(position_m: &[f64], place_m: f64) -> usize {
+    let distance = |bin: &usize| (position_m[*bin] - place_m).abs();
+    (1..position_m.len().max(2) - 1).max_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
 }
 
 /// The machine with some of the supply's volume moved to the valve's inlet, the smallest volume, which alone asks for short steps. What both
@@ -254,7 +329,7 @@ const STIFF: [&str; 6] = [
     "learned_friction_over_pressure",
 ];
 
-fn of(record: &SimulatedSignals<Lanes>, signal: Signal) -> Lanes {
+pub(crate) fn of(record: &SimulatedSignals<Lanes>, signal: Signal) -> Lanes {
     match signal {
         Signal::Command => record.command,
         Signal::Demand => record.demand,
@@ -348,7 +423,9 @@ fn imbalances(spec: &MachineSpec, signals: &[Signal], view: &BinnedSignals) -> I
         });
         all.push(("flow", flow.collect()));
     }
-    all.push(("controller", controller(spec, u, x, dt)));
+    if !spec.is_open_loop() {
+        all.push(("controller", controller(spec, u, x, dt)));
+    }
     all
 }
 
@@ -418,6 +495,7 @@ mod tests {
                     run: 0,
                     at_s,
                     demand_m: cycle.demand_m(at_s),
+                    command: 0.0,
                     load_n: cycle.load_n(at_s),
                     load_end_n,
                     leak_area_m2: 0.0,
@@ -428,7 +506,7 @@ mod tests {
         let compared =
             MachineSpec::run(std::slice::from_ref(machine), &drive, ticks, &signals).swap_remove(0);
         let mut own = vec![Vec::with_capacity(ticks); signals.len()];
-        follow(std::slice::from_ref(machine), &drive, |tick, record| {
+        follow(std::slice::from_ref(machine), &drive, None, |tick, record| {
             if tick >= ticks {
                 signals.iter().zip(&mut own).for_each(|(signal, own)| own.push(of(record, *signal).0[0]));
             }

@@ -3,12 +3,12 @@
 use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
 
-use crate::simulate::bins_of;
+use crate::simulate::{Drive, bins_of};
 use crate::simulated_axis::SimulatedAxis;
 use crate::transducers::SensorError;
 
 /// RMS difference from the median cycle, over the signal's range, above which a cycle is of another kind.
-const ANOTHER_KIND: f64 = 0.1;
+pub(crate) const ANOTHER_KIND: f64 = 0.1;
 /// Bins of a cycle in which signals are compared: 20 ms of the default duty cycle.
 pub const BINS: usize = 500;
 /// Fewest cycles with which a diagnosis is made at all, and with which it needs no warning.
@@ -41,7 +41,7 @@ impl Log {
 
     /// The log with a value at every tick for signals that were recorded at a lower rate, and the largest usual distance of two values, in ticks.
     /// Values further apart than twice the usual, or than `most` ticks, keep their gap.
-    fn at_every_tick(&self, most: usize) -> (Self, usize) {
+    pub(crate) fn at_every_tick(&self, most: usize) -> (Self, usize) {
         let mut filled = self.clone();
         let mut slowest = 1;
         for values in &mut filled.values {
@@ -105,6 +105,33 @@ pub enum RecordError {
     /// The signals do not belong to this machine, or not to each other.
     #[error(transparent)]
     Mismatch(#[from] Mismatch),
+    /// What is wrong with one of several runs.
+    #[error("{run}: {error}")]
+    InRun {
+        /// Its name.
+        run: String,
+        /// What is wrong.
+        error: Box<RecordError>,
+    },
+    /// The position goes where the plant's cannot.
+    #[error(
+        "the position reaches {reached_m:.4} m, and the stroke of the plant file is {stroke_m:.4} m; set plant.stroke_m, or offset in the mapping so that 0 is fully retracted"
+    )]
+    BeyondTheStroke {
+        /// Furthest position, m.
+        reached_m: f64,
+        /// Stroke, m.
+        stroke_m: f64,
+    },
+    /// A run in which nothing moves.
+    #[error("the piston stands in all of it; a run must have a stroke")]
+    StandsStill,
+    /// A run that is over before it says anything.
+    #[error("it has {found} values; a run needs {FEWEST_SAMPLES} or more")]
+    ShortRun {
+        /// Values.
+        found: usize,
+    },
     /// Too few cycles.
     #[error("the log has {found} usable cycles ({shortage}); at least {LEAST_CYCLES} are needed")]
     TooFew {
@@ -132,6 +159,18 @@ pub enum Mismatch {
     /// Too few cycles are alike.
     #[error("the cycles differ in kind: too few of them are alike")]
     CyclesDiffer,
+    /// The same command moves the pistons of two runs differently.
+    #[error(
+        "{run} and {other} move differently under the same command ({difference_m:.4} m apart, RMS); are they of the same machine?"
+    )]
+    OtherMachine {
+        /// One run.
+        run: String,
+        /// A run with the same command.
+        other: String,
+        /// RMS difference of their positions, m.
+        difference_m: f64,
+    },
     /// Something that cannot be on such an axis, in a sentence of [`SimulatedAxis::contradiction`].
     #[error("{0}")]
     Contradiction(String),
@@ -171,10 +210,12 @@ pub enum Shortage {
 /// One cycle in bins.
 #[derive(Debug, Clone)]
 pub struct RecordedCycle {
-    /// Mean of each compared signal in each bin, by place in [`Record::signals`].
+    /// Mean of each compared signal in each bin, by place in [`Record::signals`]; NaN for a signal that this one's log lacks.
     pub bins: Vec<Vec<f64>>,
-    /// Demand and load at each tick.
-    pub drive: Vec<DriveSample>,
+    /// Demand and load, or the command, at each tick.
+    pub drive: Drive,
+    /// Cycles of the same number are repetitions of each other.
+    pub(crate) group: usize,
 }
 
 /// A log ready for diagnosis.
@@ -190,12 +231,14 @@ pub struct Record {
     pub floor: Vec<f64>,
     /// What to know of the log, one line each.
     pub notes: Vec<String>,
+    /// Whether these are runs without a controller, of a group's very drive each.
+    pub(crate) is_open_loop: bool,
     /// A test beside the duty cycle: its mean cycle, and how many that is of.
     pub(crate) test: Option<(RecordedCycle, usize)>,
 }
 
 /// Fewest values of a signal in a cycle: fewer do not tell its strokes.
-const FEWEST_SAMPLES: usize = 200;
+pub(crate) const FEWEST_SAMPLES: usize = 200;
 /// Share of samples that may be missing in a cycle, bridged from their neighbours.
 const MISSING_SHARE: f64 = 0.01;
 /// Least correlation of demand (or position) with the plan.
@@ -290,7 +333,7 @@ impl Record {
         let range = ranges(&cycles, signals.len());
         let floor = floors(&cycles, &range);
         plausible(&signals, &cycles, spec)?;
-        Ok(Record { signals, cycles, range, floor, notes, test: None })
+        Ok(Record { signals, cycles, range, floor, notes, is_open_loop: false, test: None })
     }
 
     /// The record with a test of the same machine, which is fitted to as well: another duty cycle, cut from a log of its own.
@@ -310,7 +353,7 @@ impl Record {
             .collect::<Result<_, RecordError>>()?;
         let drive = mean_drive(test, &all);
         self.notes.push(format!("{} cycles of a test are fitted to as well", all.len()));
-        self.test = Some((RecordedCycle { bins, drive }, all.len()));
+        self.test = Some((RecordedCycle { bins, drive, group: 0 }, all.len()));
         Ok(self)
     }
 
@@ -324,6 +367,7 @@ impl Record {
             range: self.range.clone(),
             floor,
             notes: self.notes.clone(),
+            is_open_loop: self.is_open_loop,
             test: self.test.clone(),
         }
     }
@@ -341,18 +385,35 @@ impl Record {
         record
     }
 
-    /// Mean of some cycles' bins.
+    /// Mean of some cycles' bins, of those that have the signal.
     pub(crate) fn mean(&self, cycles: &[usize]) -> Vec<Vec<f64>> {
         (0..self.signals.len())
             .map(|signal| {
-                (0..BINS)
-                    .map(|bin| {
-                        cycles.iter().map(|cycle| self.cycles[*cycle].bins[signal][bin]).sum::<f64>()
-                            / cycles.len().max(1) as f64
-                    })
-                    .collect()
+                let with: Vec<usize> = self.with_signal(cycles, signal).collect();
+                let mean = |bin: usize| {
+                    with.iter().map(|cycle| self.cycles[*cycle].bins[signal][bin]).sum::<f64>()
+                        / with.len() as f64
+                };
+                (0..BINS).map(mean).collect()
             })
             .collect()
+    }
+
+    /// Those of some cycles whose log has a signal.
+    pub(crate) fn with_signal(&self, cycles: &[usize], signal: usize) -> impl Iterator<Item = usize> {
+        cycles.iter().copied().filter(move |cycle| self.cycles[*cycle].bins[signal][0].is_finite())
+    }
+
+    /// Some cycles by the drives that they repeat.
+    pub(crate) fn by_group(&self, cycles: &[usize]) -> Vec<Vec<usize>> {
+        let groups = cycles.iter().map(|cycle| self.cycles[*cycle].group).max().map_or(0, |last| last + 1);
+        let of = |group: usize| cycles.iter().copied().filter(|c| self.cycles[*c].group == group).collect();
+        (0..groups).map(of).filter(|group: &Vec<usize>| !group.is_empty()).collect()
+    }
+
+    /// Those of some cycles that may be shown together: all, or of runs the first drive's.
+    pub(crate) fn alike(&self, cycles: &[usize]) -> Vec<usize> {
+        self.by_group(cycles).into_iter().next().unwrap_or_default()
     }
 }
 
@@ -411,7 +472,7 @@ fn plausible<A: SimulatedAxis>(
 }
 
 /// What can be wrong with a log before anything is compared.
-fn check<A: SimulatedAxis>(log: &Log, spec: &A) -> Result<(), RecordError> {
+pub(crate) fn check<A: SimulatedAxis>(log: &Log, spec: &A) -> Result<(), RecordError> {
     let named = spec.signals();
     let needed = [Signal::Command, Signal::Position].into_iter().filter(|signal| named.contains(signal));
     for signal in needed {
@@ -523,9 +584,10 @@ fn cut<A: SimulatedAxis>(
         Some(load) => load[tick % ticks],
         None => spec.duty_cycle().load_n((tick % ticks) as f64 * period_s),
     };
-    let drive = (0..ticks)
+    let drive: Vec<DriveSample> = (0..ticks)
         .map(|tick| DriveSample {
             run: 0,
+            command: 0.0,
             at_s: tick as f64 * period_s,
             demand_m: demand
                 .as_ref()
@@ -535,14 +597,14 @@ fn cut<A: SimulatedAxis>(
             leak_area_m2: 0.0,
         })
         .collect();
-    Some(RecordedCycle { bins, drive })
+    Some(RecordedCycle { bins, drive: Drive::from(drive), group: 0 })
 }
 
 /// Mean of some cycles' drives.
-pub(crate) fn mean_drive(record: &Record, cycles: &[usize]) -> Vec<DriveSample> {
+pub(crate) fn mean_drive(record: &Record, cycles: &[usize]) -> Drive {
     let mut mean = record.cycles[cycles[0]].drive.clone();
     let n = cycles.len() as f64;
-    for (tick, sample) in mean.iter_mut().enumerate() {
+    for (tick, sample) in mean.samples.iter_mut().enumerate() {
         let of = |pick: &dyn Fn(&DriveSample) -> f64| {
             cycles.iter().map(|cycle| pick(&record.cycles[*cycle].drive[tick])).sum::<f64>() / n
         };
@@ -554,7 +616,7 @@ pub(crate) fn mean_drive(record: &Record, cycles: &[usize]) -> Vec<DriveSample> 
 }
 
 /// Fills short gaps along straight lines; `None` where too much is missing.
-fn bridged(values: &[f64]) -> Option<Vec<f64>> {
+pub(crate) fn bridged(values: &[f64]) -> Option<Vec<f64>> {
     let missing = values.iter().filter(|value| !value.is_finite()).count();
     if missing as f64 > MISSING_SHARE * values.len() as f64 {
         return None;
@@ -595,7 +657,7 @@ pub(crate) fn bin_of(tick: usize, ticks: usize) -> usize {
     (tick * BINS / ticks).min(BINS - 1)
 }
 
-fn ranges(cycles: &[RecordedCycle], signals: usize) -> Vec<f64> {
+pub(crate) fn ranges(cycles: &[RecordedCycle], signals: usize) -> Vec<f64> {
     (0..signals)
         .map(|signal| {
             let all: Vec<f64> = cycles.iter().flat_map(|cycle| cycle.bins[signal].iter().copied()).collect();
@@ -605,23 +667,33 @@ fn ranges(cycles: &[RecordedCycle], signals: usize) -> Vec<f64> {
         .collect()
 }
 
-/// RMS of the bins' difference from their mean over cycles, over the signal's range.
-fn floors(cycles: &[RecordedCycle], range: &[f64]) -> Vec<f64> {
-    let n = cycles.len() as f64;
-    range
-        .iter()
-        .enumerate()
-        .map(|(signal, range)| {
-            let square: f64 = (0..BINS)
-                .map(|bin| {
-                    let of = |cycle: &RecordedCycle| cycle.bins[signal][bin];
-                    let mean = cycles.iter().map(of).sum::<f64>() / n;
-                    cycles.iter().map(|cycle| (of(cycle) - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0)
-                })
-                .sum();
-            ((square / BINS as f64).sqrt() / range).max(RESOLUTION)
+/// RMS of the bins' difference from their mean over cycles, over the signal's range; the mean square of those of groups.
+pub(crate) fn floors(cycles: &[RecordedCycle], range: &[f64]) -> Vec<f64> {
+    let groups = cycles.iter().map(|cycle| cycle.group).max().unwrap_or(0) + 1;
+    let of_signal = |(signal, range): (usize, &f64)| {
+        let squares = (0..groups).filter_map(|group| {
+            let has = |cycle: &&RecordedCycle| cycle.group == group && cycle.bins[signal][0].is_finite();
+            let repeated: Vec<&[f64]> =
+                cycles.iter().filter(has).map(|cycle| cycle.bins[signal].as_slice()).collect();
+            (repeated.len() > 1).then(|| variance(&repeated))
+        });
+        let (sum, count) = squares.fold((0.0, 0.0), |(sum, count), square| (sum + square, count + 1.0));
+        let square: f64 = if count > 0.0 { sum / count } else { 0.0 };
+        (square.sqrt() / range).max(RESOLUTION)
+    };
+    range.iter().enumerate().map(of_signal).collect()
+}
+
+/// Variance over repetitions, the mean over bins.
+fn variance(repeated: &[&[f64]]) -> f64 {
+    let n = repeated.len() as f64;
+    let square: f64 = (0..BINS)
+        .map(|bin| {
+            let mean = repeated.iter().map(|bins| bins[bin]).sum::<f64>() / n;
+            repeated.iter().map(|bins| (bins[bin] - mean).powi(2)).sum::<f64>() / (n - 1.0)
         })
-        .collect()
+        .sum();
+    square / BINS as f64
 }
 
 /// Least floor: what numbers in a log resolve, and simulations do, share of a range.

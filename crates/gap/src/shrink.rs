@@ -3,12 +3,11 @@
 use std::rc::Rc;
 
 use seepd_signals::Signal;
-use seepd_sim::cycle::DriveSample;
 
 use crate::fit::{Fit, INDEPENDENT, MODEL_ERROR, Problem};
-use crate::record::{BINS, Record};
+use crate::record::Record;
 use crate::search::Explanation;
-use crate::simulate::{BinnedSignals, binned_signals};
+use crate::simulate::{BinnedSignals, Drive, binned_signals};
 use crate::simulated_axis::SimulatedAxis;
 use crate::transducers::{SensorError, most_likely};
 
@@ -38,9 +37,10 @@ impl HeldOut<'_> {
                         let error = errors[signal].unwrap_or(SensorError { gain: 0.0, zero: 0.0 });
                         let shown = |there: f64| there * (1.0 + error.gain) + error.zero;
                         let pairs = self.values(&simulated, machine, signal);
-                        let square: f64 =
-                            pairs.map(|(recorded, there)| (recorded - shown(there)).powi(2)).sum();
-                        (square / (self.cycles.len() * BINS) as f64).sqrt() / range
+                        let squares = pairs.map(|(recorded, there)| (recorded - shown(there)).powi(2));
+                        let (square, count) =
+                            squares.fold((0.0, 0), |(sum, n), square| (sum + square, n + 1));
+                        (square / f64::from(count)).sqrt() / range
                     })
                     .collect()
             })
@@ -55,19 +55,25 @@ impl HeldOut<'_> {
         gaps.iter().zip(&self.record.floor).map(of).sum()
     }
 
+    /// The first of the cycles; of runs, which have different signals and commands, all.
+    pub(crate) fn first(&self) -> Self {
+        let count = if self.record.is_open_loop { self.cycles.len() } else { 1 };
+        HeldOut { cycles: &self.cycles[..count], ..*self }
+    }
+
     /// How far each signal's sensor is most likely off, if the machine is that one; read off the first of the cycles.
     pub(crate) fn sensors<A: SimulatedAxis>(&self, machine: &A) -> Vec<Option<SensorError>> {
-        let first = HeldOut { cycles: &self.cycles[..1], ..*self };
+        let first = self.first();
         first.sensor_errors(&first.simulated(std::slice::from_ref(machine)), 0)
     }
 
     /// What each machine shows along each cycle's drive; cycles with the very same drive share it.
     fn simulated<A: SimulatedAxis>(&self, machines: &[A]) -> Vec<Rc<Vec<BinnedSignals>>> {
         let mut simulated: Vec<Rc<Vec<BinnedSignals>>> = Vec::with_capacity(self.cycles.len());
-        let mut last: Option<&[DriveSample]> = None;
+        let mut last: Option<&Drive> = None;
         for cycle in self.cycles {
             let drive = &self.record.cycles[*cycle].drive;
-            let same = simulated.last().filter(|_| last == Some(drive.as_slice())).cloned();
+            let same = simulated.last().filter(|_| last == Some(drive)).cloned();
             let shown =
                 same.unwrap_or_else(|| Rc::new(binned_signals(machines, drive, &self.record.signals)));
             simulated.push(shown);
@@ -85,7 +91,9 @@ impl HeldOut<'_> {
     ) -> impl Iterator<Item = (f64, f64)> + 'v {
         self.cycles.iter().zip(simulated).flat_map(move |(cycle, shown)| {
             let recorded = &self.record.cycles[*cycle].bins[signal];
-            recorded.iter().copied().zip(shown[machine][signal].iter().copied())
+            let pairs = recorded.iter().copied().zip(shown[machine][signal].iter().copied());
+            // What this run has no transducer for.
+            pairs.filter(|(recorded, _)| recorded.is_finite())
         })
     }
 

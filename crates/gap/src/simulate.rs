@@ -1,7 +1,9 @@
-//! Machines simulated along a recorded drive, closed loop, and what they show in bins.
+//! Machines simulated along a recorded drive, and what they show in bins.
+
+use std::ops::Deref;
 
 use seepd_signals::Signal;
-use seepd_sim::cycle::DriveSample;
+use seepd_sim::cycle::{DriveSample, RunStart};
 
 use crate::simulated_axis::SimulatedAxis;
 
@@ -17,15 +19,41 @@ pub(crate) fn bins_of<'v>(
     signals.iter().position(|other| *other == signal).map(|index| &view[index])
 }
 
-/// Simulates each machine over the drive, after a warm-up with the end of the same drive, and bins its signals. A simulation that goes
-/// out of bounds shows NaN.
+/// What drives a machine, tick by tick: demand and load of a cycle, or the command of a run.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Drive {
+    /// Ticks.
+    pub samples: Vec<DriveSample>,
+    /// Where a run begins; a cycle begins where the one before, which is alike, has ended.
+    pub start: Option<RunStart>,
+}
+
+impl From<Vec<DriveSample>> for Drive {
+    fn from(samples: Vec<DriveSample>) -> Self {
+        Drive { samples, start: None }
+    }
+}
+
+impl Deref for Drive {
+    type Target = [DriveSample];
+
+    fn deref(&self) -> &[DriveSample] {
+        &self.samples
+    }
+}
+
+/// Simulates each machine over the drive and bins its signals; over a cycle after a warm-up with the end of the same drive. A simulation that
+/// goes out of bounds shows NaN.
 pub(crate) fn binned_signals<A: SimulatedAxis>(
     machines: &[A],
-    drive: &[DriveSample],
+    drive: &Drive,
     signals: &[Signal],
 ) -> Vec<BinnedSignals> {
+    if let Some(start) = &drive.start {
+        return A::run_from(machines, start, drive, signals);
+    }
     let warm_up = &drive[last_stroke(drive)..];
-    let driven: Vec<DriveSample> = warm_up.iter().chain(drive).copied().collect();
+    let driven: Vec<DriveSample> = warm_up.iter().chain(drive.iter()).copied().collect();
     A::run(machines, &driven, warm_up.len(), signals)
 }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use seepd_signals::Signal;
 use seepd_sim::DutyCycle;
-use seepd_sim::cycle::DriveSample;
+use seepd_sim::cycle::{DriveSample, RunStart};
 use seepd_sim::effects::{EffectInfo, Parameter};
 use seepd_sim::learned::{LearnedLaw, Site};
 
@@ -93,6 +93,23 @@ pub trait SimulatedAxis: Clone + Send + Sync {
         warm_up: usize,
         signals: &[Signal],
     ) -> Vec<BinnedSignals>;
+    /// The same from where a run begins, under the drive's commands: for axes that can do without a controller.
+    fn run_from(
+        machines: &[Self],
+        _start: &RunStart,
+        drive: &[DriveSample],
+        signals: &[Signal],
+    ) -> Vec<BinnedSignals> {
+        Self::run(machines, drive, 0, signals)
+    }
+    /// Whether it has no controller: its logs are runs, whose recorded command drives the plant.
+    fn is_open_loop(&self) -> bool {
+        false
+    }
+    /// The axis with a run in the place of its duty cycle: its length, and position and load in bins. Axes with a controller stay as they are.
+    fn along(&self, _period_s: f64, _position_m: &[f64], _load_n: &[f64]) -> Self {
+        self.clone()
+    }
     /// The balances that the signals allow; empty where the equations are not known.
     fn imbalances(&self, signals: &[Signal], view: &BinnedSignals) -> Imbalances;
     /// Whether what may be simulated is used up: a search then ends with what it has.

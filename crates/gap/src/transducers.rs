@@ -55,16 +55,27 @@ impl Allowance {
     /// Of a signal's recorded values, whose differences are multiplied by that weight; `None` for a signal whose sensor has no class.
     pub(crate) fn new(signal: Signal, recorded: &[f64], weight: f64) -> Option<Self> {
         let class = class_of(signal)?;
-        let scaled: Vec<f64> = recorded.iter().map(|value| value * weight * class.gain).collect();
+        // Where nothing is recorded, there is nothing to add to.
+        let is_there: Vec<bool> = recorded.iter().map(|value| value.is_finite()).collect();
+        let there = |value: f64, is_there: &bool| if *is_there { value } else { 0.0 };
+        let scaled: Vec<f64> = recorded
+            .iter()
+            .zip(&is_there)
+            .map(|(value, is_there)| there(value * weight * class.gain, is_there))
+            .collect();
         let level = weight * class.zero;
+        let count = is_there.iter().filter(|is_there| **is_there).count() as f64;
         // The eigenvectors of NᵀN, a symmetric matrix of two rows.
-        let (a, d) =
-            (scaled.iter().map(|value| value * value).sum::<f64>(), level * level * scaled.len() as f64);
+        let (a, d) = (scaled.iter().map(|value| value * value).sum::<f64>(), level * level * count);
         let b = level * scaled.iter().sum::<f64>();
         let angle = 0.5 * (2.0 * b).atan2(a - d);
         let along = |angle: f64| {
             let (sine, cosine) = angle.sin_cos();
-            let shape: Vec<f64> = scaled.iter().map(|value| cosine * value + sine * level).collect();
+            let shape: Vec<f64> = scaled
+                .iter()
+                .zip(&is_there)
+                .map(|(value, is_there)| cosine * value + sine * there(level, is_there))
+                .collect();
             let square: f64 = shape.iter().map(|value| value * value).sum();
             let length = square.sqrt().max(f64::MIN_POSITIVE);
             (shape.into_iter().map(|value| value / length).collect(), 1.0 - 1.0 / (1.0 + square).sqrt())

@@ -19,7 +19,15 @@ fn log_of(axis: &ElectricAxis, cycles: usize) -> Log {
         .map(|tick| {
             let at_s = (tick % ticks) as f64 * axis.controller.period_s;
             let demand_m = axis.cycle.demand_m(at_s);
-            DriveSample { run: tick / ticks, at_s, demand_m, load_n: 0.0, load_end_n: 0.0, leak_area_m2: 0.0 }
+            DriveSample {
+                run: tick / ticks,
+                at_s,
+                demand_m,
+                command: 0.0,
+                load_n: 0.0,
+                load_end_n: 0.0,
+                leak_area_m2: 0.0,
+            }
         })
         .collect();
     let mut noise = Noise::new(1, 5);

@@ -6,7 +6,7 @@
 
 use rayon::prelude::*;
 
-use crate::cycle::{CycleRun, DriveSample, Schedule};
+use crate::cycle::{CycleRun, DriveSample, RunStart, Schedule};
 use crate::machine::{Input, Machine, SimulatedSignals};
 use crate::real::{LANES, Lanes, Real};
 use crate::simd::widest;
@@ -100,20 +100,21 @@ pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &SimulatedSignals<Lan
 ///
 /// Machines beyond the lanes are not run; callers pass chunks of [`LANES`].
 ///
+/// `start` is where they begin; without one, at rest at the first demand under the first load.
+///
 /// # Panics
 /// Where `machines` is empty.
 pub fn follow(
     machines: &[MachineSpec],
     drive: &[DriveSample],
+    start: Option<&RunStart>,
     mut sink: impl FnMut(usize, &SimulatedSignals<Lanes>),
 ) {
     let specs: Vec<&MachineSpec> = machines.iter().collect();
     let machine = Machine::<Lanes>::new(&specs);
     let a_leak = Lanes::from_lanes(|lane| specs[lane.min(specs.len() - 1)].plant.leak_area_m2);
-    let mut state = match drive.first() {
-        Some(first) => machine.start_at(&Input::gather(std::slice::from_ref(first))),
-        None => return,
-    };
+    let Some(first) = drive.first().map(|first| Input::gather(std::slice::from_ref(first))) else { return };
+    let mut state = start.map_or_else(|| machine.start_at(&first), |start| machine.start_from(start, &first));
     let mut block: Vec<SimulatedSignals<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     for (number, samples) in drive.chunks(BLOCK_TICKS).enumerate() {
         block.clear();
@@ -122,7 +123,7 @@ pub fn follow(
             || {
                 for sample in samples {
                     let input = Input { a_leak, ..Input::gather(std::slice::from_ref(sample)) };
-                    block.push(machine.tick(&mut state, &input));
+                    block.push(machine.tick_along(&mut state, sample, &input));
                 }
             },
         );

@@ -4,10 +4,24 @@ use serde::{Deserialize, Serialize};
 
 use crate::real::Real;
 
+/// What makes the command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ControllerKind {
+    /// A PID position controller.
+    #[default]
+    Pid,
+    /// Nothing within the machine: the recorded command drives the plant, and there is no demand.
+    None,
+}
+
 /// Gains and period: the `[controller]` table of `plant.toml`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Controller {
+    /// What makes the command.
+    #[serde(skip_serializing_if = "is_usual")]
+    pub kind: ControllerKind,
     /// Proportional gain, 1/m.
     #[serde(alias = "Kp")]
     pub kp: f64,
@@ -37,6 +51,10 @@ pub(crate) fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
+fn is_usual(kind: &ControllerKind) -> bool {
+    *kind == ControllerKind::default()
+}
+
 fn is_one(value: &usize) -> bool {
     *value == 1
 }
@@ -51,6 +69,7 @@ const FORGOTTEN: f64 = 3.0;
 impl Default for Controller {
     fn default() -> Self {
         Controller {
+            kind: ControllerKind::Pid,
             kp: 12.0,
             ki: 15.0,
             kd: 0.0,
@@ -64,6 +83,11 @@ impl Default for Controller {
 }
 
 impl Controller {
+    /// Whether the machine is driven open loop.
+    pub fn is_none(&self) -> bool {
+        self.kind == ControllerKind::None
+    }
+
     /// Time from one command in the log to the next, s.
     pub fn log_period_s(&self) -> f64 {
         self.period_s * self.log_every as f64

@@ -225,12 +225,25 @@ pub struct DriveSample {
     pub at_s: f64,
     /// Demand, m.
     pub demand_m: f64,
+    /// Command, share of full: what moves a machine without a controller.
+    pub command: f64,
     /// Load at the tick, N.
     pub load_n: f64,
     /// Load at the next tick, N.
     pub load_end_n: f64,
     /// Leak area, m².
     pub leak_area_m2: f64,
+}
+
+/// Where a run begins that no duty cycle precedes: at rest, with what is known of the chambers' pressures.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RunStart {
+    /// Position, m.
+    pub position_m: f64,
+    /// Cap chamber's pressure, Pa.
+    pub p_cap_pa: Option<f64>,
+    /// Rod chamber's pressure, Pa.
+    pub p_rod_pa: Option<f64>,
 }
 
 impl Schedule {
@@ -297,6 +310,7 @@ impl Iterator for Schedule {
             run,
             at_s,
             demand_m: self.cycle.demand_m(at_s),
+            command: 0.0,
             load_n,
             load_end_n,
             leak_area_m2: of.leak_area_m2,

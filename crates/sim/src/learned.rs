@@ -330,6 +330,23 @@ pub static ALL: [&LearnedLaw; 16] = [
     &CONTROLLER_OVER_ERROR,
 ];
 
+/// Those of a machine without a controller: nothing acts on its error, and its runs have no time in common.
+pub static OPEN_LOOP: [&LearnedLaw; 13] = [
+    &SPOOL_OVER_COMMAND,
+    &ROD_PORT_OVER_COMMAND,
+    &FORCE_OVER_SPEED,
+    &FORCE_OVER_POSITION,
+    &FRICTION_OVER_POSITION,
+    &FRICTION_OVER_PRESSURE,
+    &SEAL_OVER_PRESSURE,
+    &SEAL_OVER_POSITION,
+    &CAP_FLOW_OVER_PRESSURE,
+    &ROD_FLOW_OVER_PRESSURE,
+    &SUPPLY_OVER_PRESSURE,
+    &SENSOR_OVER_POSITION,
+    &SENSOR_OVER_SPEED,
+];
+
 /// The law of that key.
 pub fn find(key: &str) -> Option<&'static LearnedLaw> {
     ALL.iter().copied().find(|law| law.info.key == key)

@@ -18,7 +18,7 @@ mod simd;
 pub mod size;
 pub mod spec;
 
-pub use controller::Controller;
+pub use controller::{Controller, ControllerKind};
 pub use cycle::{DutyCycle, Schedule};
 pub use machine::{Input, Machine, MachineState, SimulatedSignals};
 pub use plant::{Plant, PlantParameters, State};

@@ -1,7 +1,7 @@
 //! A machine: plant, controller and effects, advanced one controller tick at a time.
 
 use crate::controller::{Pid, PidState};
-use crate::cycle::DriveSample;
+use crate::cycle::{DriveSample, RunStart};
 use crate::effects::{self, Constants, Law, Sensing, Substep};
 use crate::plant::{ActingLaws, Drive, Plant, State};
 use crate::real::Real;
@@ -82,6 +82,8 @@ pub struct Machine<T: Real> {
     period: T,
     dt: T,
     start: (T, T),
+    /// Whether a controller makes the command.
+    is_controlled: bool,
 }
 
 /// What changes while a machine runs.
@@ -140,6 +142,7 @@ impl<T: Real> Machine<T> {
             steps,
             period,
             dt,
+            is_controlled: !specs[0].controller.is_none(),
             start: (
                 T::from_lanes(|lane| of(lane).cycle.start_position_m()),
                 T::from_lanes(|lane| of(lane).cycle.load_n(0.0)),
@@ -157,10 +160,19 @@ impl<T: Real> Machine<T> {
         self.at_rest(first.demand, first.load)
     }
 
+    /// The machine at rest where a run begins.
+    pub fn start_from(&self, start: &RunStart, first: &Input<T>) -> MachineState<T> {
+        self.at(self.plant.standing(start, first.load))
+    }
+
     fn at_rest(&self, x: T, load: T) -> MachineState<T> {
+        self.at(self.plant.rest(x, load))
+    }
+
+    fn at(&self, plant: State<T>) -> MachineState<T> {
         MachineState {
-            plant: self.plant.rest(x, load),
-            pid: self.pid.start(x),
+            plant,
+            pid: self.pid.start(plant.x),
             memory: self.laws.iter().map(|law| vec![T::splat(0.0); law.memory()]).collect(),
             tick: 0,
             clamped_pressures: 0,
@@ -172,6 +184,33 @@ impl<T: Real> Machine<T> {
     pub fn tick(&self, state: &mut MachineState<T>, input: &Input<T>) -> SimulatedSignals<T> {
         let position = self.sense(state);
         let command = self.command(state, input.demand, position);
+        self.moved_on(state, command, position, input)
+    }
+
+    /// As [`tick`](Self::tick); where no controller makes the command, it is the drive's.
+    #[inline(always)]
+    pub fn tick_along(
+        &self,
+        state: &mut MachineState<T>,
+        sample: &DriveSample,
+        input: &Input<T>,
+    ) -> SimulatedSignals<T> {
+        if self.is_controlled {
+            return self.tick(state, input);
+        }
+        let position = self.sense(state);
+        self.moved_on(state, T::splat(sample.command.clamp(-1.0, 1.0)), position, input)
+    }
+
+    /// Records a tick, and runs the plant to the next one.
+    #[inline(always)]
+    fn moved_on(
+        &self,
+        state: &mut MachineState<T>,
+        command: T,
+        position: T,
+        input: &Input<T>,
+    ) -> SimulatedSignals<T> {
         let signals = SimulatedSignals {
             command,
             demand: input.demand,

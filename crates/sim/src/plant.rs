@@ -18,6 +18,7 @@
 use nalgebra::{Matrix6, Schur};
 use serde::{Deserialize, Serialize};
 
+use crate::cycle::RunStart;
 use crate::effects::{Law, Moment, Openings, Softening, Terms};
 use crate::real::Real;
 
@@ -26,6 +27,9 @@ const MOST_ITERATIONS: usize = 10_000;
 /// RK4 is stable on the negative real axis up to this product of step and eigenvalue (Hairer & Wanner,
 /// Solving Ordinary Differential Equations II, section IV.2).
 pub const RK4_STABILITY_LIMIT: f64 = 2.78;
+
+/// Share of the stroke within which a standing piston stands at its end.
+const AT_ITS_END: f64 = 0.01;
 
 /// What a plant parameter is: for files, reports, calibration and the variation of simulated machines.
 #[derive(Debug, Clone, Copy)]
@@ -299,6 +303,24 @@ impl<T: Real> Plant<T> {
         let p_2 = self.p_prv * T::splat(0.5);
         let p_1 = (self.a_ann * p_2 - load * self.load_scale) / self.a_cap;
         State { p_s: self.p_prv, p_3: self.p_prv, p_1, p_2, x, v: T::splat(0.0) }
+    }
+
+    /// The state in which a recorded run begins, with the supply at the relief pressure. A pressure that nobody recorded is that of a piston
+    /// which the valve has held against its end, or else what balances the other and the load.
+    pub(crate) fn standing(&self, start: &RunStart, load: T) -> State<T> {
+        let x = T::splat(start.position_m).max(T::splat(0.0)).min(self.stroke);
+        let rest = self.rest(x, load);
+        let near_end = self.stroke * T::splat(AT_ITS_END);
+        let (from_low, from_high) = (near_end - x, x - (self.stroke - near_end));
+        let load = load * self.load_scale;
+        let at_ends = |low: T, high: T, between: T| {
+            from_low.where_positive(low, from_high.where_positive(high, between))
+        };
+        let of_cap = |p_rod: T| at_ends(self.p_r, self.p_prv, (self.a_ann * p_rod - load) / self.a_cap);
+        let of_rod = |p_cap: T| at_ends(self.p_prv, self.p_r, (self.a_cap * p_cap + load) / self.a_ann);
+        let [p_cap, p_rod] = [start.p_cap_pa, start.p_rod_pa].map(|pressure| pressure.map(T::splat));
+        let p_1 = p_cap.unwrap_or_else(|| of_cap(p_rod.unwrap_or(rest.p_2)));
+        State { p_1, p_2: p_rod.unwrap_or_else(|| of_rod(p_1)), ..rest }
     }
 
     /// Flow past the piston, cap → rod, m³/s: leak orifice plus the healthy seal's laminar gap.

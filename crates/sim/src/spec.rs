@@ -15,6 +15,9 @@ use crate::size::Size;
 
 /// A plant that asks for more steps in a period has a number that is decades off.
 const ABSURD_STEPS: usize = 1_000_000;
+/// Keys of the controller's table that say nothing where there is none.
+const OF_A_CONTROLLER: [&str; 5] =
+    ["kp", "ki", "kd", "velocity_feed_forward_s_per_m", "dead_band_compensation"];
 /// Most steps in a period that are taken unasked.
 const MOST_STEPS: usize = 100;
 
@@ -142,7 +145,16 @@ impl MachineSpec {
     /// # Errors
     /// [`SpecError::Unwritable`] where TOML cannot express a value (none of a checked machine's).
     pub fn to_toml(&self) -> Result<String, SpecError> {
-        Ok(toml::to_string_pretty(self)?)
+        if !self.controller.is_none() {
+            return Ok(toml::to_string_pretty(self)?);
+        }
+        // A machine without a controller has no gains and no duty cycle.
+        let mut table = toml::Table::try_from(self)?;
+        table.remove("cycle");
+        if let Some(toml::Value::Table(controller)) = table.get_mut("controller") {
+            OF_A_CONTROLLER.iter().for_each(|key| drop(controller.remove(*key)));
+        }
+        Ok(toml::to_string_pretty(&table)?)
     }
 
     /// The effect's parameters in their order; neutral where not given.
@@ -247,7 +259,9 @@ impl MachineSpec {
         }
         self.check_bounds()?;
         self.check_controller()?;
-        self.check_cycle()?;
+        if !self.controller.is_none() {
+            self.check_cycle()?;
+        }
         self.check_effects()?;
         self.check_stability()
     }

@@ -53,7 +53,15 @@ impl SimulatorAxis {
                 let at_s = tick as f64 * period_s;
                 let load_n = self.spec.cycle.load_n(at_s);
                 let demand_m = self.spec.cycle.demand_m(at_s);
-                DriveSample { run: 0, at_s, demand_m, load_n, load_end_n: load_n, leak_area_m2: 0.0 }
+                DriveSample {
+                    run: 0,
+                    at_s,
+                    demand_m,
+                    command: 0.0,
+                    load_n,
+                    load_end_n: load_n,
+                    leak_area_m2: 0.0,
+                }
             })
             .collect();
         self.simulators.run(&self.spec, &drive, 0, &self.signals()).map(|_| ())

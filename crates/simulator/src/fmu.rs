@@ -322,8 +322,15 @@ impl HostedFmu {
     fn measured_latency(&mut self, spec: &SimulatorSpec) -> Result<usize, FmuError> {
         let at = spec.cycle.demand_m(0.0);
         let still = if spec.controller.is_some() { 0.0 } else { at };
-        let drive =
-            DriveSample { run: 0, at_s: 0.0, demand_m: at, load_n: 0.0, load_end_n: 0.0, leak_area_m2: 0.0 };
+        let drive = DriveSample {
+            run: 0,
+            at_s: 0.0,
+            demand_m: at,
+            command: 0.0,
+            load_n: 0.0,
+            load_end_n: 0.0,
+            leak_area_m2: 0.0,
+        };
         let mut answers = Vec::new();
         for pulse in [0.0, PULSE] {
             self.start(&drive)?;
@@ -398,6 +405,7 @@ fn samples(drive: &HostedDrive, period_s: f64) -> Vec<DriveSample> {
             run: 0,
             at_s: tick as f64 * period_s,
             demand_m: *demand_m,
+            command: 0.0,
             load_n: *load_n,
             load_end_n: *load_end_n,
             leak_area_m2: 0.0,

@@ -279,7 +279,7 @@ fn diagnose(arguments: &DiagnoseArguments) -> Result<Outcome, Failure> {
             let settings =
                 DiagnosisSettings { without: vec![without.clone()], ..DiagnosisSettings::default() };
             let (mut diagnosis, machine) = pool
-                .install(|| answer(&view.of(log), None, &spec, &settings, &mut |_| ()))
+                .install(|| answer(Record::new(&view.of(log), &spec), &spec, &settings, &mut |_| ()))
                 .map_err(|error| Failure::data(format!("{name}: {error}")))?;
             diagnosis.seconds = begin.elapsed().as_secs_f64();
             let plant = arguments.answers.join(format!("{name}.{}.toml", view.name()));

@@ -163,6 +163,14 @@ fn check_plant(path: &Path, text: &str) -> Result<String, Failure> {
     let spec =
         seepd_sim::MachineSpec::from_toml(text).map_err(|error| Failure::configuration(path, error))?;
     let effects: Vec<&str> = spec.effects.keys().map(String::as_str).collect();
+    if spec.controller.is_none() {
+        return Ok(format!(
+            "a machine without a controller, {} RK4 steps per {} s, effects: {}",
+            spec.controller.steps_per_period,
+            spec.controller.period_s,
+            if effects.is_empty() { "none".to_owned() } else { effects.join(", ") }
+        ));
+    }
     Ok(format!(
         "cycle of {} s with {} moves, {} RK4 steps per {} s, effects: {}",
         spec.cycle.period_s,

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use clap::{Args, Subcommand};
 use seepd_gap::report::{Diagnosis, Verdict};
-use seepd_gap::{DiagnosisSettings, Log, Record, RecordError, SimulatedAxis, cannot_tell, diagnose};
+use seepd_gap::{DiagnosisSettings, Log, Record, RecordError, Run, SimulatedAxis, cannot_tell, diagnose};
 use seepd_logs::open;
 use seepd_monitor::event::LPM_PER_M3_PER_S;
 use seepd_monitor::pipeline::REFERENCE_DP_PA;
@@ -18,8 +18,9 @@ use seepd_simulator::{ParameterSet, SimulatorAxis};
 
 use super::blind::BlindArguments;
 use super::next_test::{self, TestFiles};
+use super::predict::PredictArguments;
 use super::reading::MappingArguments;
-use super::simulate::read_plant;
+use super::simulate::{read_any_plant, read_plant};
 use super::user_simulator::{self, SimulatorArguments};
 use crate::cli::Outcome;
 use crate::config::AxisConfig;
@@ -44,9 +45,9 @@ use crate::sink::terminal::print;
 pub struct GapArguments {
     #[command(subcommand)]
     blind: Option<Other>,
-    /// Log, or a folder or a pattern of logs
+    /// Log, or a folder or a pattern of logs; of a machine without a controller as many runs as there are
     #[arg(value_name = "LOG", required = true)]
-    log: Option<PathBuf>,
+    logs: Vec<PathBuf>,
     /// Plant file instead of the nominal press
     #[arg(long, value_name = "FILE")]
     plant: Option<PathBuf>,
@@ -90,6 +91,8 @@ pub struct GapArguments {
 
 #[derive(Debug, Subcommand)]
 enum Other {
+    /// Simulate recorded commands of a machine without a controller, and hold what they did against it
+    Predict(PredictArguments),
     /// Check the diagnosis on logs whose cause is withheld from it
     Blind(BlindArguments),
 }
@@ -125,10 +128,12 @@ const MOST_CYCLES: f64 = 120.0;
 /// # Errors
 /// [`Failure`] for plant, configuration, log or output.
 pub fn run(arguments: &GapArguments) -> Result<Outcome, Failure> {
-    if let Some(Other::Blind(arguments)) = &arguments.blind {
-        return super::blind::run(arguments);
+    match &arguments.blind {
+        Some(Other::Blind(arguments)) => return super::blind::run(arguments),
+        Some(Other::Predict(arguments)) => return super::predict::run(arguments),
+        None => {}
     }
-    let claim = |path: &Path, config: &AxisConfig| GapOutputs::claim(arguments, path, config);
+    let claim = |_: &Path, config: &AxisConfig| GapOutputs::claim(arguments, config);
     let (diagnosed, path, outputs) = diagnosed(arguments, claim)?;
     if let Some((demand, plant)) = &outputs.test {
         let test = diagnosed.test_files?;
@@ -172,18 +177,18 @@ pub fn diagnosed<T>(
     begin: impl FnOnce(&Path, &AxisConfig) -> Result<T, Failure>,
 ) -> Result<(Diagnosed, &Path, T), Failure> {
     let start = Instant::now();
-    let Some(path) = &arguments.log else {
+    let Some(path) = arguments.logs.first() else {
         return Err(Failure::new(Code::Usage, "there is no log to diagnose: name one"));
     };
     let config = arguments.mapping.load()?;
     let (begun, mut diagnosed) = if let Some(axis) = arguments.simulator.axis(arguments.plant.as_deref())? {
-        (begin(path, &config)?, diagnosed_on(arguments, path, &config, &axis)?)
+        (begin(path, &config)?, diagnosed_on(arguments, &config, &axis)?)
     } else if let Some(axis) = arguments.plant.as_deref().map(electric_axis).transpose()?.flatten() {
-        (begin(path, &config)?, diagnosed_on(arguments, path, &config, &axis)?)
+        (begin(path, &config)?, diagnosed_on(arguments, &config, &axis)?)
     } else {
-        let spec = read_plant(arguments.plant.as_deref())?;
+        let spec = read_any_plant(arguments.plant.as_deref())?;
         let begun = begin(path, &config)?;
-        let diagnosed = diagnosed_on(arguments, path, &config, &spec)?;
+        let diagnosed = diagnosed_on(arguments, &config, &spec)?;
         (begun, Diagnosed { plant: Some(spec.plant), ..diagnosed })
     };
     diagnosed.diagnosis.seconds = start.elapsed().as_secs_f64();
@@ -197,14 +202,59 @@ fn electric_axis(path: &Path) -> Result<Option<ElectricAxis>, Failure> {
     axis.map_err(|error| Failure::configuration(path, error))
 }
 
+/// The record of an axis's log, or of the runs of one without a controller.
+fn record_of<A: PlantFile>(
+    arguments: &GapArguments,
+    config: &AxisConfig,
+    spec: &A,
+) -> Result<(Result<Record, RecordError>, Vec<String>), Failure> {
+    if spec.is_open_loop() {
+        if arguments.also.is_some() || arguments.next_test || arguments.emit_test.is_some() {
+            let what = "--next-test, --emit-test and --also ask for a duty cycle; the machine of the plant file has no controller that could follow one";
+            return Err(Failure::new(Code::Usage, what));
+        }
+        let (runs, notes) = read_runs(&arguments.logs, config, spec)?;
+        return Ok((Record::of_runs(&runs, spec), notes));
+    }
+    let [path] = arguments.logs.as_slice() else {
+        let what = "several logs are diagnosed together only where the plant file has `[controller] kind = \"none\"`; name one";
+        return Err(Failure::new(Code::Usage, what));
+    };
+    let (log, notes) = read(path, config, spec)?;
+    let record = Record::new(&log, spec);
+    let record = match arguments.test_record(config, spec)? {
+        Some(test) => record.and_then(|record| record.with_test(&test)),
+        None => record,
+    };
+    Ok((record, notes))
+}
+
+/// Reads runs, each by its file's name, and what there is to know of them.
+///
+/// # Errors
+/// [`Failure`] where one cannot be read.
+pub(super) fn read_runs<A: SimulatedAxis>(
+    paths: &[PathBuf],
+    config: &AxisConfig,
+    spec: &A,
+) -> Result<(Vec<Run>, Vec<String>), Failure> {
+    let mut notes: Vec<String> = Vec::new();
+    let mut runs = Vec::with_capacity(paths.len());
+    for path in paths {
+        let (log, of_run) = read(path, config, spec)?;
+        let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        notes.extend(of_run.into_iter().map(|note| format!("{name}: {note}")));
+        runs.push(Run { name, log });
+    }
+    Ok((runs, notes))
+}
+
 fn diagnosed_on<A: PlantFile>(
     arguments: &GapArguments,
-    path: &Path,
     config: &AxisConfig,
     spec: &A,
 ) -> Result<Diagnosed, Failure> {
-    let (log, notes) = read(path, config, spec)?;
-    let test = arguments.test_record(config, spec)?;
+    let (record, notes) = record_of(arguments, config, spec)?;
     let steps = Steps::begin(seepd_gap::diagnosis::STEPS as u64, "diagnosing");
     let settings = DiagnosisSettings {
         without: arguments.without.clone(),
@@ -212,10 +262,12 @@ fn diagnosed_on<A: PlantFile>(
         ..DiagnosisSettings::default()
     };
     let answered = pool(arguments.threads)?
-        .install(|| answer(&log, test.as_ref(), spec, &settings, &mut |done| steps.set(done as u64)));
+        .install(|| answer(record, spec, &settings, &mut |done| steps.set(done as u64)));
     drop(steps);
-    let (mut diagnosis, machine) =
-        answered.map_err(|error| Failure::data(format!("{}: {error}", path.display())))?;
+    let (mut diagnosis, machine) = answered.map_err(|error| match (&error, arguments.logs.first()) {
+        (RecordError::InRun { .. }, _) | (_, None) => Failure::data(error.to_string()),
+        (_, Some(path)) => Failure::data(format!("{}: {error}", path.display())),
+    })?;
     diagnosis.notes.extend(notes);
     diagnosis.notes.extend(spec.notes());
     let test_files = next_test::files(&machine, diagnosis.next_test.as_ref());
@@ -242,11 +294,12 @@ enum JsonOutput {
 }
 
 impl GapOutputs {
-    fn claim(arguments: &GapArguments, log: &Path, config: &AxisConfig) -> Result<Self, Failure> {
+    fn claim(arguments: &GapArguments, config: &AxisConfig) -> Result<Self, Failure> {
         let plants = [&arguments.plant, &arguments.test_plant, &arguments.also];
         let named = plants.into_iter().filter_map(|path| path.as_deref());
         let named = named.chain(arguments.mapping.files(config));
-        let mut outputs = Outputs::new(arguments.overwrite, [log].into_iter().chain(named));
+        let logs = arguments.logs.iter().map(PathBuf::as_path);
+        let mut outputs = Outputs::new(arguments.overwrite, logs.chain(named));
         let json = match &arguments.json {
             Some(path) if path == Path::new("-") => Some(JsonOutput::Standard),
             Some(path) => Some(JsonOutput::File(outputs.claim(path)?)),
@@ -277,22 +330,17 @@ pub(super) fn pool(threads: Option<u16>) -> Result<rayon::ThreadPool, Failure> {
         .map_err(|error| Failure::new(Code::Internal, error.to_string()))
 }
 
-/// Diagnoses a log. Where something is wrong with its signals, the answer is that nothing can be told: a program that asked gets the
+/// Diagnoses a record. Where something is wrong with its signals, the answer is that nothing can be told: a program that asked gets the
 /// safe one.
 ///
 /// # Errors
 /// [`RecordError`] for a log that holds too little.
 pub(super) fn answer<A: SimulatedAxis>(
-    log: &Log,
-    test: Option<&Record>,
+    record: Result<Record, RecordError>,
     spec: &A,
     settings: &DiagnosisSettings,
     tell: &mut dyn FnMut(usize),
 ) -> Result<(Diagnosis, A), RecordError> {
-    let record = Record::new(log, spec).and_then(|record| match test {
-        Some(test) => record.with_test(test),
-        None => Ok(record),
-    });
     match record {
         Ok(record) => Ok(diagnose(&record, spec, settings, tell)),
         Err(error @ (RecordError::Units { .. } | RecordError::Mismatch(_))) => {

@@ -28,6 +28,8 @@ pub mod learn_baseline;
 pub mod live_demo;
 #[cfg(feature = "gap")]
 pub(crate) mod next_test;
+#[cfg(feature = "gap")]
+pub mod predict;
 pub mod reading;
 pub mod repair;
 pub mod replay;

@@ -155,6 +155,21 @@ pub fn run(arguments: &SimulateArguments) -> Result<Outcome, Failure> {
 /// # Errors
 /// [`Failure`] with file, line and key.
 pub fn read_plant(path: Option<&Path>) -> Result<MachineSpec, Failure> {
+    let spec = read_any_plant(path)?;
+    match path {
+        Some(path) if spec.controller.is_none() => {
+            let what = "this machine has no controller, and hence no demand and no duty cycle; only `gap`, `gap predict` and `check` work with one";
+            Err(Failure::configuration(path, what))
+        }
+        _ => Ok(spec),
+    }
+}
+
+/// As [`read_plant`], also of a machine without a controller.
+///
+/// # Errors
+/// [`Failure`] with file, line and key.
+pub fn read_any_plant(path: Option<&Path>) -> Result<MachineSpec, Failure> {
     let Some(path) = path else { return Ok(MachineSpec::default()) };
     let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
     if ElectricAxis::is_kind(&text) {
