@@ -50,6 +50,9 @@ impl PredictedSignal {
     }
 }
 
+/// Time over which a speed is taken, to either side, s.
+const SPEED_OVER_S: f64 = 0.05;
+
 fn differences<'v>(a: &'v [f64], b: &'v [f64], moves: &'v [bool]) -> impl Iterator<Item = f64> + 'v {
     let pairs = a.iter().zip(b).zip(moves).filter(|(_, moves)| **moves);
     pairs.map(|((a, b), _)| a - b).filter(|difference| difference.is_finite())
@@ -106,8 +109,8 @@ pub fn predict(run: &Run, machine: &MachineSpec) -> Result<Prediction, RecordErr
         let recorded = recorded(*signal);
         let speed = (*signal == Signal::Position).then(|| PredictedSignal {
             name: "speed",
-            simulated: speeds(&simulated, tick_s),
-            recorded: recorded.as_ref().map(|position| speeds(position, tick_s)),
+            simulated: speeds(&simulated, SPEED_OVER_S, tick_s),
+            recorded: recorded.as_ref().map(|position| speeds(position, SPEED_OVER_S, tick_s)),
         });
         signals.push(PredictedSignal { name: signal.name(), simulated, recorded });
         signals.extend(speed);

@@ -24,15 +24,15 @@ pub struct Run {
     pub log: Log,
 }
 
-/// Time over which a speed is taken, to either side, s: noise of a third of a millimetre is one of some millimetres a second then.
-const SPEED_OVER_S: f64 = 0.05;
+/// Time over which a speed is taken, to either side, s: noise of a third of a millimetre is one of half a millimetre a second then.
+const SPEED_OVER_S: f64 = 0.1;
 /// Share of the fastest speed below which the piston stands.
 const STANDING: f64 = 0.04;
 /// Change of the command, share of full, from which it changes.
 const CHANGED: f64 = 0.01;
 /// A rest of that length cuts a run, s; what is kept of it before what comes next, and after what was.
 const REST_S: f64 = 0.5;
-const BEFORE_S: f64 = 0.1;
+const BEFORE_S: f64 = 0.05;
 const AFTER_S: f64 = 0.25;
 /// Share of the stroke that a piece must go.
 const LEAST_WAY: f64 = 0.02;
@@ -168,9 +168,9 @@ fn mean(values: &[f64]) -> Option<f64> {
     (count > 0).then(|| finite().sum::<f64>() / count as f64)
 }
 
-/// Speed at each tick, m/s, over [`SPEED_OVER_S`] to either side.
-pub(crate) fn speeds(position_m: &[f64], tick_s: f64) -> Vec<f64> {
-    let width = (SPEED_OVER_S / tick_s).round().max(1.0) as usize;
+/// Speed at each tick, m/s, over a time to either side, s.
+pub(crate) fn speeds(position_m: &[f64], over_s: f64, tick_s: f64) -> Vec<f64> {
+    let width = (over_s / tick_s).round().max(1.0) as usize;
     let speed = |tick: usize| -> f64 {
         let (from, to) = (tick.saturating_sub(width), (tick + width).min(position_m.len()));
         match (mean(&position_m[from..tick]), mean(&position_m[tick..to])) {
@@ -190,7 +190,7 @@ pub(crate) fn moving<A: SimulatedAxis>(run: &Run, spec: &A) -> Vec<Range<usize>>
     let ticks = |seconds: f64| (seconds / spec.tick_s()).round().max(1.0) as usize;
     let (width, length) = (ticks(SPEED_OVER_S), x.len().min(u.len()));
     let around = |tick: usize| (tick.saturating_sub(width), (tick + width).min(length));
-    let speeds = speeds(&x[..length], spec.tick_s());
+    let speeds = speeds(&x[..length], SPEED_OVER_S, spec.tick_s());
     let fastest = speeds.iter().map(|speed| speed.abs()).fold(0.0, f64::max);
     let rests = |tick: usize| {
         let (from, to) = around(tick);

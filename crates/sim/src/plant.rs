@@ -389,8 +389,16 @@ impl<T: Real> Plant<T> {
             p_1: self.beta * terms.cap_flow / (self.v_01 + self.a_cap * state.x),
             p_2: self.beta * terms.rod_flow / (self.v_02 + self.a_ann * (self.stroke - state.x)),
             x: state.v,
-            v: self.mass_inverse * terms.force,
+            v: self.held_by_stops(state.x, self.mass_inverse * terms.force),
         }
+    }
+
+    /// The acceleration with what an end stop takes of it: a piston that is pressed against its end stands, and displaces no oil.
+    #[inline(always)]
+    fn held_by_stops(&self, x: T, acceleration: T) -> T {
+        let zero = T::splat(0.0);
+        let outwards = x.where_positive(acceleration, acceleration.max(zero));
+        (self.stroke - x).where_positive(outwards, outwards.min(zero))
     }
 
     /// The equations: rates of the six states.

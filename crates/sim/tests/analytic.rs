@@ -235,3 +235,65 @@ fn reference_command_statistics_over_leaks() {
         assert!((m - mean).abs() < 6e-5 && (s - deviation).abs() < 6e-4, "{leak_area_m2}: {m} {s}");
     }
 }
+
+/// A piston of 1 kg that the rod chamber presses against its end with 450 N displaces no oil there: with the valve shut the chambers only
+/// equalise past the seal, dp/dt = −(β/V_1 + β/V_2) dp / R_cyl, and the time constant is volumes over β times R_cyl.
+#[test]
+fn analytic_chambers_of_a_piston_pressed_against_its_end_equalise_past_the_seal_alone() {
+    let parameters = PlantParameters {
+        cap_area_m2: 2e-4,
+        annulus_area_m2: 1.2e-4,
+        stroke_m: 0.2,
+        mass_kg: 1.0,
+        viscous_friction_n_s_per_m: 50.0,
+        bulk_modulus_pa: 5e8,
+        cap_dead_volume_m3: 2e-4,
+        rod_dead_volume_m3: 2e-4,
+        seal_resistance_pa_s_per_m3: 1e13,
+        valve_rod_resistance_pa_s_per_m3: 1e20,
+        ..PlantParameters::default()
+    };
+    let plant = Plant::<f64>::new(&[&parameters]);
+    let (p_1, p_2) = (2e5, 4e6);
+    let mut state = State { p_s: 16e6, p_3: 16e6, p_1, p_2, x: 0.0, v: 0.0 };
+    for _ in 0..2000 {
+        state = plant.step(&state, &closed(0.0), 5e-5);
+    }
+    let (v_1, v_2) = (2e-4, 2e-4 + 1.2e-4 * 0.2);
+    let rate_per_s = 5e8 * (1.0 / v_1 + 1.0 / v_2) / 1e13;
+    let expected = (p_1 - p_2) * (-rate_per_s * 0.1).exp();
+    assert_eq!((state.x, state.v), (0.0, 0.0));
+    assert!(((state.p_1 - state.p_2) / expected - 1.0).abs() < 1e-6, "{} {expected}", state.p_1 - state.p_2);
+    // What one chamber lost, the other has.
+    assert!(((state.p_1 - p_1) * v_1 + (state.p_2 - p_2) * v_2).abs() < 1e-6 * p_2 * v_2);
+}
+
+/// A run begins with the pressures that are known; those that are not follow from the end at which the piston stands, or from the balance.
+#[test]
+fn analytic_a_run_begins_in_balance_or_against_an_end() {
+    use seepd_sim::cycle::{DriveSample, RunStart};
+    let machine = MachineSpec::default();
+    let p = &machine.plant;
+    let sample = DriveSample {
+        run: 0,
+        at_s: 0.0,
+        demand_m: f64::NAN,
+        command: 0.0,
+        load_n: -2000.0,
+        load_end_n: -2000.0,
+        leak_area_m2: 0.0,
+    };
+    let begin = |position_m: f64, p_cap_pa: Option<f64>, p_rod_pa: Option<f64>| {
+        let start = RunStart { position_m, p_cap_pa, p_rod_pa };
+        let state = Machine::<f64>::new(&[&machine]).start_from(&start, &Input::gather(&[sample])).plant;
+        (state.p_1, state.p_2)
+    };
+    assert_eq!(begin(0.2, Some(3e6), Some(5e6)), (3e6, 5e6));
+    assert_eq!(begin(0.0, None, None), (p.return_pressure_pa, p.relief_pressure_pa));
+    assert_eq!(begin(p.stroke_m, None, None), (p.relief_pressure_pa, p.return_pressure_pa));
+    assert_eq!(begin(0.0, Some(4e5), None), (4e5, p.relief_pressure_pa));
+    let (p_cap, p_rod) = begin(0.2, None, Some(5e6));
+    assert!((p.cap_area_m2 * p_cap - p.annulus_area_m2 * p_rod - 2000.0).abs() < 1e-6);
+    let (p_cap, p_rod) = begin(0.2, Some(5e6), None);
+    assert!((p.cap_area_m2 * p_cap - p.annulus_area_m2 * p_rod - 2000.0).abs() < 1e-6);
+}

@@ -81,3 +81,13 @@ fn numbers_many_decades_off_are_answered_with_their_key() {
         }
     }
 }
+
+#[test]
+fn a_machine_without_a_controller_has_no_gains_and_no_duty_cycle() {
+    let spec = MachineSpec::from_toml("[plant]\nstroke_m = 0.2\n[controller]\nkind = \"none\"\n").unwrap();
+    assert!(spec.controller.is_none() && !MachineSpec::default().controller.is_none());
+    let text = spec.to_toml().unwrap();
+    assert!(!text.contains("cycle") && !text.contains("kp"), "{text}");
+    assert_eq!(MachineSpec::from_toml(&text).unwrap(), spec);
+    assert!(refusal("[controller]\nkind = \"non\"\n").contains("none"));
+}

@@ -92,7 +92,7 @@ pub struct GapArguments {
 #[derive(Debug, Subcommand)]
 enum Other {
     /// Simulate recorded commands of a machine without a controller, and hold what they did against it
-    Predict(PredictArguments),
+    Predict(Box<PredictArguments>),
     /// Check the diagnosis on logs whose cause is withheld from it
     Blind(BlindArguments),
 }
@@ -271,7 +271,8 @@ fn diagnosed_on<A: PlantFile>(
     diagnosis.notes.extend(notes);
     diagnosis.notes.extend(spec.notes());
     let test_files = next_test::files(&machine, diagnosis.next_test.as_ref());
-    let machine = as_new(machine);
+    // Runs are foretold by the machine as it is.
+    let machine = if machine.is_open_loop() { machine } else { as_new(machine) };
     let parameter_set = machine.parameter_set();
     diagnosis.notes.extend(parameter_set.additions.iter().cloned());
     Ok(Diagnosed { diagnosis, plant_file: text_of(&machine), parameter_set, test_files, plant: None })

@@ -71,6 +71,7 @@ fn claimed(arguments: &PredictArguments, config: &crate::config::AxisConfig) -> 
         let what = "--out: two of the runs would be written into the same file; rename one";
         return Err(Failure::new(Code::Usage, what));
     }
+    std::fs::create_dir_all(folder).map_err(|error| Failure::writing(folder, error))?;
     let logs = arguments.logs.iter().map(PathBuf::as_path);
     let read = logs.chain([arguments.plant.as_path()]).chain(arguments.mapping.files(config));
     let mut outputs = Outputs::new(arguments.overwrite, read);
