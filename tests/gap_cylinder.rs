@@ -42,7 +42,7 @@ transition_pressure_pa = 5e4
 
 [controller]
 kind = \"none\"
-steps_per_period = 20
+steps_per_period = 10
 ";
 
 const MAPPING: &str = "

@@ -259,7 +259,7 @@ fn analytic_chambers_of_a_piston_pressed_against_its_end_equalise_past_the_seal_
     for _ in 0..2000 {
         state = plant.step(&state, &closed(0.0), 5e-5);
     }
-    let (v_1, v_2) = (2e-4, 2e-4 + 1.2e-4 * 0.2);
+    let (v_1, v_2): (f64, f64) = (2e-4, 2e-4 + 1.2e-4 * 0.2);
     let rate_per_s = 5e8 * (1.0 / v_1 + 1.0 / v_2) / 1e13;
     let expected = (p_1 - p_2) * (-rate_per_s * 0.1).exp();
     assert_eq!((state.x, state.v), (0.0, 0.0));
