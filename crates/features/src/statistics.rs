@@ -1,5 +1,7 @@
 //! What is computed once for a cycle, from which each feature is then read off.
 
+use serde::{Deserialize, Serialize};
+
 use crate::load::LoadSummary;
 use crate::moments::{MomentSummary, Moments};
 use crate::segment::{CycleDefinition, MAX_CYCLE_BINS, MAX_PHASES, PhaseKind, Span};
@@ -69,7 +71,7 @@ impl<'a> RingView<'a> {
 }
 
 /// A phase's summary.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct PhaseStatistics {
     /// Samples.
     pub count: f64,
@@ -88,7 +90,7 @@ pub struct PhaseStatistics {
 }
 
 /// A cycle's summary.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct CycleStatistics {
     /// Over the whole cycle.
     pub moments: MomentSummary,
@@ -112,6 +114,7 @@ pub struct CycleStatistics {
     pub noise: f64,
     /// The load over the cycle, where the samples tell it.
     pub load: Option<LoadSummary>,
+    #[serde(with = "stored_bins")]
     bins: [f32; MAX_CYCLE_BINS],
     bin_count: usize,
 }
@@ -247,6 +250,35 @@ impl CycleStatistics {
     /// The cycle's command in bins, aligned to its anchors; empty where the definition has no projection.
     pub fn bins(&self) -> &[f32] {
         self.bins.get(..self.bin_count).unwrap_or_default()
+    }
+}
+
+/// Bins as serde knows arrays: of at most 32.
+mod stored_bins {
+    use serde::de::{Deserialize, Deserializer};
+    use serde::ser::{Serialize, Serializer};
+
+    use crate::segment::MAX_CYCLE_BINS;
+
+    const ROW: usize = 32;
+    type Rows = [[f32; ROW]; MAX_CYCLE_BINS / ROW];
+
+    pub(super) fn serialize<S: Serializer>(
+        bins: &[f32; MAX_CYCLE_BINS],
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        let mut rows: Rows = Default::default();
+        rows.as_flattened_mut().copy_from_slice(bins);
+        rows.serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<[f32; MAX_CYCLE_BINS], D::Error> {
+        let rows = Rows::deserialize(deserializer)?;
+        let mut bins = [0.0; MAX_CYCLE_BINS];
+        bins.copy_from_slice(rows.as_flattened());
+        Ok(bins)
     }
 }
 

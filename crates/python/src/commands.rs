@@ -8,7 +8,7 @@ use seepd::Failure;
 use seepd::commands::evaluate::{EvaluateArguments, evaluated};
 use seepd::commands::gap::{GapArguments, diagnosed, headline};
 use seepd::commands::learn_baseline::{LearnBaselineArguments, learned};
-use seepd::commands::train::{TrainArguments, json_report, trained};
+use seepd::commands::train::{TrainArguments, json_report, share_simulated, trained};
 use seepd_gap::BinnedSignals;
 
 use crate::error::{internal, released};
@@ -42,6 +42,15 @@ pub(crate) fn train(py: Python<'_>, words: Vec<String>) -> PyResult<(Vec<u8>, St
         Ok((trained.json, report))
     })?;
     Ok((json, report, warnings))
+}
+
+/// What a share of a training's simulation came to, for `train`.
+#[pyfunction]
+pub(crate) fn simulate_share(py: Python<'_>, words: Vec<String>) -> PyResult<(Vec<u8>, Vec<String>)> {
+    released(py, || {
+        let arguments: TrainArguments = seepd::cli::parse(words)?;
+        share_simulated(&arguments, || Ok(())).map(|(simulated, ())| simulated)
+    })
 }
 
 /// An evaluation, as JSON.

@@ -21,7 +21,7 @@ mod _core {
     use super::*;
 
     #[pymodule_export]
-    use super::commands::{diagnose, effects, evaluate, learn_baseline, main, train};
+    use super::commands::{diagnose, effects, evaluate, learn_baseline, main, simulate_share, train};
     #[pymodule_export]
     use super::cycles::{replay, replay_arrays};
     #[pymodule_export]

@@ -55,7 +55,11 @@ def test_a_model_for_each_series(tmp_path: Path) -> None:
     assert fleet_run(manifest, settings, pool).counts == {"unchanged": 2}
     pool.close()
     model = seepd.train(seed=3, **SMALL)
-    for row in rows_of(tmp_path):
+    # Eight shares each, which are gone, and the model of one machine, to the byte.
+    rows = rows_of(tmp_path)
+    assert [row["job"] for row in rows] == ["share"] * 16 + ["train"] * 2
+    assert not list(tmp_path.glob("shares/**/*-of-8"))
+    for row in rows[16:]:
         assert (tmp_path / row["artifact"]).read_bytes() == model.content
         assert json.loads(row["result"]) == model.report
 

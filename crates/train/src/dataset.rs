@@ -9,8 +9,12 @@ use seepd_sim::batch::{self, Job};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::series::{self, Tolerances};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 use crate::leak_range::LeakRange;
+use crate::portions::Portions;
+use crate::train::TrainError;
 use crate::{null_region, unknown_contact, unknown_seal};
 
 /// How simulated machines differ from the plan.
@@ -168,6 +172,29 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
         let logged: Vec<f64> = commands.iter().step_by(log_every).copied().collect();
         reduce(index, &logged)
     })
+}
+
+/// Machines of a portion.
+const PORTION: usize = 256;
+
+/// Simulates machines in portions of a name, reads each one's recorded command, and hands what was read to `take` in the machines' order.
+/// Portions that are not to be simulated here are left out.
+///
+/// # Errors
+/// [`TrainError`] for a portion that is damaged.
+pub(crate) fn in_portions<R: Send + Serialize + DeserializeOwned>(
+    (name, portions): (&str, &mut Portions),
+    observations: &[Observation],
+    read: impl Fn(&Observation, &[f64]) -> R + Sync,
+    mut take: impl FnMut(R),
+) -> Result<(), TrainError> {
+    for (number, portion) in observations.chunks(PORTION).enumerate() {
+        let simulated = portions.take(&format!("{name} {number}"), || {
+            simulate(portion, |index, commands| read(&portion[index], commands))
+        })?;
+        simulated.into_iter().flatten().for_each(&mut take);
+    }
+    Ok(())
 }
 
 /// Noise of standard deviation 1 for so many samples: scaled, it serves every level.

@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod calibration;
 mod causes;
 mod conformal;
 pub mod dataset;
@@ -10,6 +11,7 @@ mod linear;
 mod null_region;
 mod out_of_distribution;
 mod pca;
+pub mod portions;
 pub mod relative;
 pub mod report;
 mod search;
@@ -19,7 +21,8 @@ mod unknown_seal;
 
 pub use causes::planted::{PlantedCause, plant_causes};
 pub use dataset::Spread;
+pub use portions::{Portions, Share};
 pub use relative::{Conditions, RelativeReport};
 pub use report::Report;
 pub use search::BestForest;
-pub use train::{TrainError, Trained, TrainingSettings, train};
+pub use train::{TrainError, Trained, TrainingSettings, simulate_share, train, train_with};

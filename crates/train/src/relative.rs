@@ -12,7 +12,7 @@ use seepd_model::relative::{
 use seepd_model::schema::{
     DeadbandFile, DetectionFile, KindFile, RelativeFile, RelativeGolden, TrainingDistribution, Tree, ViewFile,
 };
-use seepd_model::{Ensemble, ModelError, ModelFile};
+use seepd_model::{Ensemble, ModelFile};
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
 use seepd_sim::series::Tolerances;
@@ -25,8 +25,9 @@ use crate::forest::{Forest, ForestParams, Table};
 use crate::leak_range::LeakRange;
 use crate::linear;
 use crate::out_of_distribution;
+use crate::portions::Portions;
 use crate::report::NOISE_LEVELS;
-use crate::train::TrainingSettings;
+use crate::train::{TrainError, TrainingSettings};
 use crate::{unknown_contact, unknown_seal};
 
 /// Cycles that a baseline is the mean of.
@@ -197,6 +198,42 @@ enum Levels<'a> {
 /// A level of noise, and the cycle's mean command by phase at it.
 type Leveled = (f64, Vec<f64>);
 
+/// Machines with so many cycles each beside the baseline.
+struct PairSet<'a> {
+    machines: usize,
+    cycles: usize,
+    /// Its random streams.
+    purpose: u64,
+    levels: Levels<'a>,
+    /// The leak at a rank of 0 … 1, m².
+    leak_at: fn(LeakRange, f64) -> f64,
+}
+
+impl PairSet<'_> {
+    fn learned(settings: &TrainingSettings) -> Self {
+        let levels = Levels::Drawn(settings.noise);
+        let machines = settings.relative_machines;
+        PairSet { machines, cycles: LEARNED_CYCLES, purpose: purpose::LEARN, levels, leak_at }
+    }
+
+    fn calibrating(settings: &TrainingSettings) -> Self {
+        let levels = Levels::These(&CALIBRATED_AND_QUIET);
+        let machines = settings.calibrated_on;
+        PairSet { machines, cycles: CALIBRATED_CYCLES, purpose: purpose::CALIBRATE, levels, leak_at }
+    }
+
+    fn beyond(settings: &TrainingSettings) -> Self {
+        let levels = Levels::Drawn(settings.noise);
+        let leak_at = LeakRange::beyond_m2;
+        PairSet { machines: BEYOND_MACHINES, cycles: 1, purpose: purpose::BEYOND, levels, leak_at }
+    }
+
+    fn tested(settings: &TrainingSettings) -> Self {
+        let levels = Levels::These(&NOISE_LEVELS);
+        PairSet { machines: settings.tested_on, cycles: 1, purpose: purpose::TEST, levels, leak_at }
+    }
+}
+
 /// Simulates pairs of a baseline and a later cycle of the same machine.
 struct PairSimulator<'a> {
     spec: &'a MachineSpec,
@@ -205,16 +242,14 @@ struct PairSimulator<'a> {
 }
 
 impl PairSimulator<'_> {
-    /// Machines with so many cycles each beside the baseline. Leaks are stratified over all of them.
+    /// Leaks are stratified over all pairs of a set. Portions that are not to be simulated here are left out.
     fn pairs(
         &self,
-        machines: usize,
-        cycles: usize,
-        purpose: u64,
-        levels: Levels<'_>,
-        leak_at: fn(LeakRange, f64) -> f64,
+        set: &PairSet<'_>,
+        portions: &mut Portions,
         tell: &mut dyn FnMut(usize),
-    ) -> Vec<Pair> {
+    ) -> Result<Vec<Pair>, TrainError> {
+        let &PairSet { machines, cycles, purpose, levels, leak_at } = set;
         let per_machine = BASELINE_MOMENTS + cycles;
         let leaks = self.settings.leaks_of(self.spec);
         let mut pairs = Vec::with_capacity(machines * cycles);
@@ -234,9 +269,12 @@ impl PairSimulator<'_> {
                     loads.push(load);
                 });
             }
-            let read = simulate_stably(&observations, |index, observation, commands| {
-                self.read(observation, commands, index % per_machine < BASELINE_MOMENTS, levels)
-            });
+            let read = portions.take(&format!("pairs {purpose} {from}"), || {
+                simulate_stably(&observations, |index, observation, commands| {
+                    self.read(observation, commands, index % per_machine < BASELINE_MOMENTS, levels)
+                })
+            })?;
+            let read = read.unwrap_or_default();
             for (machine, group) in read.chunks(per_machine).enumerate() {
                 let (moments, days) = group.split_at(BASELINE_MOMENTS.min(group.len()));
                 let Some(baseline) = mean_of(moments) else { continue };
@@ -261,7 +299,7 @@ impl PairSimulator<'_> {
             }
             tell(to);
         }
-        pairs
+        Ok(pairs)
     }
 
     /// A machine's cycles with their loads: those of its baseline, then others. `leak_of` has the leak of a cycle and a number in 0 … 1.
@@ -545,6 +583,17 @@ impl Learned {
 /// Index of the reading without noise, after those of [`CALIBRATED_NOISE`].
 const QUIET: usize = CALIBRATED_NOISE.len();
 
+/// [`CALIBRATED_NOISE`], and none.
+const CALIBRATED_AND_QUIET: [f64; QUIET + 1] = {
+    let mut levels = [0.0; QUIET + 1];
+    let mut level = 0;
+    while level < QUIET {
+        levels[level] = CALIBRATED_NOISE[level];
+        level += 1;
+    }
+    levels
+};
+
 fn spread_of_baselines(pairs: &[Pair]) -> (Vec<f64>, Vec<f64>) {
     let phases = pairs.first().map_or(0, |pair| pair.readings[0].baseline.len());
     let count = pairs.len().max(1) as f64;
@@ -633,48 +682,62 @@ pub fn cycles_between_false_alarms(threshold: f64, allowance: f64) -> f64 {
 }
 
 /// Learns and calibrates; `None` where the simulated cycles were not found or carry no information. `tell` hears of the machines done and all.
+///
+/// # Errors
+/// [`TrainError`] for a portion that is damaged.
 pub(crate) fn learn(
     spec: &MachineSpec,
     settings: &TrainingSettings,
     reading: &Reading<'_>,
+    portions: &mut Portions,
     tell: &mut dyn FnMut(usize, usize),
-) -> Option<RelativeFile> {
+) -> Result<Option<RelativeFile>, TrainError> {
     let simulator = PairSimulator { spec, settings, reading };
     let all = settings.relative_machines + settings.calibrated_on;
-    let pairs = simulator.pairs(
-        settings.relative_machines,
-        LEARNED_CYCLES,
-        purpose::LEARN,
-        Levels::Drawn(settings.noise),
-        leak_at,
-        &mut |done| tell(done, all),
-    );
+    let pairs = simulator.pairs(&PairSet::learned(settings), portions, &mut |done| tell(done, all))?;
+    let others = simulator.pairs(&PairSet::calibrating(settings), portions, &mut |done| {
+        tell(settings.relative_machines + done, all);
+    })?;
+    let beyond = simulator.pairs(&PairSet::beyond(settings), portions, &mut |_| ())?;
+    Ok(learn_from(spec, settings, [&pairs, &others, &beyond]))
+}
+
+/// Simulates what [`learn`] and [`measure`] need, as far as it is to be simulated here.
+///
+/// # Errors
+/// [`TrainError`] for a portion that cannot be written.
+pub(crate) fn simulate(
+    spec: &MachineSpec,
+    settings: &TrainingSettings,
+    reading: &Reading<'_>,
+    portions: &mut Portions,
+    tell: &mut dyn FnMut(usize, usize),
+) -> Result<(), TrainError> {
+    let simulator = PairSimulator { spec, settings, reading };
+    let sets =
+        [PairSet::learned, PairSet::calibrating, PairSet::beyond, PairSet::tested].map(|set| set(settings));
+    let all = sets.iter().map(|set| set.machines).sum();
+    let mut before = 0;
+    for set in &sets {
+        simulator.pairs(set, portions, &mut |done| tell(before + done, all))?;
+        before += set.machines;
+    }
+    Ok(())
+}
+
+fn learn_from(
+    spec: &MachineSpec,
+    settings: &TrainingSettings,
+    [pairs, others, beyond]: [&[Pair]; 3],
+) -> Option<RelativeFile> {
     let offset_m2 = LeakRange::of(spec).offset_m2();
-    let mut learned = Learned::from(&pairs, offset_m2, settings.seed)?;
-    let mut levels = CALIBRATED_NOISE.to_vec();
-    levels.push(0.0);
-    let others = simulator.pairs(
-        settings.calibrated_on,
-        CALIBRATED_CYCLES,
-        purpose::CALIBRATE,
-        Levels::These(&levels),
-        leak_at,
-        &mut |done| tell(settings.relative_machines + done, all),
-    );
-    let beyond = simulator.pairs(
-        BEYOND_MACHINES,
-        1,
-        purpose::BEYOND,
-        Levels::Drawn(settings.noise),
-        LeakRange::beyond_m2,
-        &mut |_| (),
-    );
-    learned.limit_deadband(&others);
+    let mut learned = Learned::from(pairs, offset_m2, settings.seed)?;
+    learned.limit_deadband(others);
     let mut file = RelativeFile {
         offset_m2,
-        command: learned.view(&others, false),
-        load: learned.view(&others, true),
-        training_distributions: learned.distributions([&pairs, &beyond], &others)?,
+        command: learned.view(others, false),
+        load: learned.view(others, true),
+        training_distributions: learned.distributions([pairs, beyond], others)?,
         largest_load_change: LOAD_ROOM * settings.conditions.load.max(0.01),
         detection: DetectionFile {
             threshold: THRESHOLD,
@@ -687,7 +750,7 @@ pub(crate) fn learn(
         trees: learned.trees,
         golden: Vec::new(),
     };
-    file.golden = golden(&file, &others)?;
+    file.golden = golden(&file, others)?;
     Some(file)
 }
 
@@ -719,26 +782,20 @@ fn one_lpm_m2(file: &ModelFile) -> f64 {
 /// Measures a model's relative estimates on machines that nothing was learned from.
 ///
 /// # Errors
-/// [`ModelError`] where the model's relative part is damaged.
+/// [`TrainError::Model`] where the model's relative part is damaged, [`TrainError::Share`] for a portion that is.
 pub(crate) fn measure(
     spec: &MachineSpec,
     settings: &TrainingSettings,
     reading: &Reading<'_>,
     (file, relative): (&ModelFile, RelativeFile),
+    portions: &mut Portions,
     tell: &mut dyn FnMut(usize, usize),
-) -> Result<RelativeReport, ModelError> {
-    let relative = seepd_model::Relative::from_file(relative)?;
+) -> Result<RelativeReport, TrainError> {
+    let relative = seepd_model::Relative::from_file(relative).map_err(TrainError::Model)?;
     let simulator = PairSimulator { spec, settings, reading };
-    let pairs = simulator.pairs(
-        settings.tested_on,
-        1,
-        purpose::TEST,
-        Levels::These(&NOISE_LEVELS),
-        leak_at,
-        &mut |done| {
-            tell(done, settings.tested_on);
-        },
-    );
+    let pairs = simulator.pairs(&PairSet::tested(settings), portions, &mut |done| {
+        tell(done, settings.tested_on);
+    })?;
     let smallest_m2 = LeakRange::of(spec).main_m2().0;
     let accuracy = |knows_load: bool| -> Vec<RelativeAccuracy> {
         (0..NOISE_LEVELS.len())

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 use seepd_features::Kalman;
+use seepd_features::statistics::CycleStatistics;
 use seepd_model::Model;
 use seepd_model::accuracy::{Decade, Judged, coverage, decades, mean_absolute_error, r_squared};
 use seepd_model::schema::Transform;
@@ -10,7 +11,8 @@ use serde::Serialize;
 use crate::dataset::{self, Observation, Reading};
 use crate::forest::{Forest, ForestParams, predict};
 use crate::leak_range::LeakRange;
-use crate::train::{ARTICLE_NOISE, Case, Features, TrainingSettings, grow_like, noise_of};
+use crate::portions::Portions;
+use crate::train::{ARTICLE_NOISE, Case, Features, TrainError, TrainingSettings, grow_like, noise_of};
 
 /// Standard deviations of the command's noise in the article's figures 8 and 9.
 pub const NOISE_LEVELS: [f64; 5] = [0.001, 0.003, 0.005, 0.007, 0.01];
@@ -80,38 +82,54 @@ pub(crate) struct Subject<'a> {
 /// A machine's cycle as the model reads it: features, and mean commands by phase.
 pub(crate) type Read = (Vec<f64>, Vec<f64>);
 
-/// A machine at each noise level, with the filter and, for the noise table only, without; `None` where the cycle was not found.
-type Readings = [[Option<Read>; NOISE_LEVELS.len()]; 2];
+/// A cycle at each of the [`NOISE_LEVELS`]; `None` where it was not found.
+pub(crate) type AtEachNoise<T> = [Option<T>; NOISE_LEVELS.len()];
 
-pub(crate) fn measure(subject: &Subject<'_>) -> Report {
-    let readings: Vec<Readings> = dataset::simulate(subject.observations, |index, commands| {
-        let Subject { reading, features, settings, .. } = subject;
-        let case = (&subject.observations[index], commands);
-        let read = |filter| read_at_each_noise(reading, features, settings, case, filter, &NOISE_LEVELS);
+/// A machine at each noise level, with the filter and, for the noise table only, without.
+type Readings<T> = [AtEachNoise<T>; 2];
+
+/// What `of` makes of each machine's cycle.
+pub(crate) fn read<R>(
+    observations: &[Observation],
+    settings: &TrainingSettings,
+    reading: &Reading<'_>,
+    portions: &mut Portions,
+    of: impl Fn(&CycleStatistics) -> R,
+) -> Result<Vec<Readings<R>>, TrainError> {
+    let statistics = |observation: &Observation, commands: &[f64]| -> Readings<CycleStatistics> {
+        let read = |filter| read_at_each_noise(reading, settings, (observation, commands), filter);
         [read(settings.filter), if settings.noise_table { read(None) } else { Default::default() }]
-    });
+    };
+    let mut all = Vec::with_capacity(observations.len());
+    dataset::in_portions(("held out", portions), observations, statistics, |read| {
+        all.push(read.map(|filtered| filtered.map(|level| level.as_ref().map(&of))));
+    })?;
+    Ok(all)
+}
+
+/// # Errors
+/// [`TrainError`] for a portion that is damaged.
+pub(crate) fn measure(subject: &Subject<'_>, portions: &mut Portions) -> Result<Report, TrainError> {
+    let Subject { reading, features, settings, observations, .. } = subject;
+    let readings = read(observations, settings, reading, portions, |statistics| features.read(statistics))?;
     let by_noise: Vec<Accuracy> =
         (0..NOISE_LEVELS.len()).map(|level| accuracy(subject, &readings, level)).collect();
     let noise_table = subject.settings.noise_table.then(|| noise_table(subject, &readings));
-    Report { accuracy: by_noise[0].clone(), by_noise, noise_table }
+    Ok(Report { accuracy: by_noise[0].clone(), by_noise, noise_table })
 }
 
 /// A machine's cycle at each noise level; `None` where it was not found.
-pub(crate) fn read_at_each_noise<const LEVELS: usize>(
+pub(crate) fn read_at_each_noise(
     reading: &Reading<'_>,
-    features: &Features<'_>,
     settings: &TrainingSettings,
     (observation, commands): (&Observation, &[f64]),
     filter: Option<Kalman>,
-    levels: &[f64; LEVELS],
-) -> [Option<Read>; LEVELS] {
+) -> AtEachNoise<CycleStatistics> {
     let unit = dataset::unit_noise(&mut noise_of(observation, settings), commands.len());
-    levels.map(|sigma| {
-        reading.read(commands, filter, sigma, &unit).map(|statistics| features.read(&statistics))
-    })
+    NOISE_LEVELS.map(|sigma| reading.read(commands, filter, sigma, &unit))
 }
 
-fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accuracy {
+fn accuracy(subject: &Subject<'_>, readings: &[Readings<Read>], level: usize) -> Accuracy {
     let (cases, scores): (Vec<Judged>, Vec<f64>) = subject
         .observations
         .iter()
@@ -148,7 +166,7 @@ fn accuracy(subject: &Subject<'_>, readings: &[Readings], level: usize) -> Accur
     }
 }
 
-fn noise_table(subject: &Subject<'_>, readings: &[Readings]) -> Vec<NoiseLine> {
+fn noise_table(subject: &Subject<'_>, readings: &[Readings<Read>]) -> Vec<NoiseLine> {
     let forests: Vec<Option<Forest>> = (0..2)
         .map(|which| {
             let transform = subject.model.file().transform;
@@ -187,7 +205,7 @@ fn noise_table(subject: &Subject<'_>, readings: &[Readings]) -> Vec<NoiseLine> {
 
 fn forest_error(
     subject: &Subject<'_>,
-    readings: &[Readings],
+    readings: &[Readings<Read>],
     forest: &Forest,
     which: usize,
     level: usize,
@@ -210,7 +228,7 @@ fn forest_error(
 /// RMS change of each feature against the article's noise, over its range over all leaks; the largest.
 fn largest_feature_change(
     subject: &Subject<'_>,
-    readings: &[Readings],
+    readings: &[Readings<Read>],
     which: usize,
     level: usize,
 ) -> (f64, String) {

@@ -2,24 +2,24 @@
 
 use rayon::prelude::*;
 use seepd_features::statistics::CycleStatistics;
-use seepd_features::{CycleDefinition, Feature, Kalman, Projections};
+use seepd_features::{CycleDefinition, Feature, Kalman, Phase, Projections};
 use seepd_model::schema::{
-    Calibration, Cycle, Filter, Golden, ModelFile, Orifice, ProjectionFile, SCHEMA, Training,
-    TrainingDistribution, Transform,
+    Cycle, Filter, Golden, ModelFile, Orifice, ProjectionFile, SCHEMA, Training, Transform,
 };
-use seepd_model::{Ensemble, Model, ModelError};
+use seepd_model::{Model, ModelError};
 use seepd_sim::noise::Noise;
 use seepd_sim::{MachineSpec, SpecError};
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::calibration::{self, CalibrationSets};
 use crate::causes::{self, CauseSimulator};
-use crate::conformal::{self, Prediction};
 use crate::dataset::{self, Observation, Reading, Spread};
 use crate::duty;
 use crate::forest::{Forest, ForestParams, Table};
 use crate::leak_range::LeakRange;
-use crate::out_of_distribution;
 use crate::pca;
+use crate::portions::{Portions, Share};
 use crate::relative::{self, Conditions, RelativeReport};
 use crate::report::{self, Report};
 use crate::search::{self, BestForest};
@@ -138,6 +138,15 @@ pub enum TrainError {
     /// The finished model does not pass its own checks.
     #[error("the trained model fails its own checks: {0}")]
     Model(ModelError),
+    /// A file that should hold a share of the simulation holds something else.
+    #[error("it is not a share of a training's simulation")]
+    NotAShare,
+    /// A share of the simulation is another training's.
+    #[error("it is a share of another training: plant, settings or the program's version differ")]
+    ForeignShare,
+    /// A share cannot be written, or was damaged.
+    #[error("a share of the simulation: {0}")]
+    Share(#[from] postcard::Error),
     /// The finished model cannot be written.
     #[error("writing the model: {0}")]
     Json(#[from] serde_json::Error),
@@ -175,18 +184,14 @@ pub struct Trained {
     pub learned: Table,
 }
 
-/// Random streams that share no machine.
+/// Random streams that share no machine; the calibration has 4 and 5.
 mod purpose {
     pub(super) const TEMPLATE: u64 = 1;
     pub(super) const LEARN: u64 = 2;
     pub(super) const HELD_OUT: u64 = 3;
-    pub(super) const CALIBRATE: u64 = 4;
-    pub(super) const BEYOND: u64 = 5;
     pub(super) const LARGEST: u64 = 6;
 }
 
-/// For so many machines that are learned from there is one more with a leak beyond, by which such leaks are known.
-const LEARNED_TO_BEYOND: usize = 16;
 /// Machines from which templates are made.
 const TEMPLATE_MACHINES: usize = 64;
 /// Principal components that become features.
@@ -206,17 +211,51 @@ pub fn train(
     settings: &TrainingSettings,
     tell: &mut dyn FnMut(Stage, usize, usize),
 ) -> Result<Trained, TrainError> {
+    train_with(spec, settings, Portions::default(), tell)
+}
+
+/// Simulates one share of the machines that a training with these settings learns from, and gives it as bytes for [`Portions::add`].
+///
+/// # Errors
+/// As [`train`], as far as the simulation tells.
+pub fn simulate_share(
+    spec: &MachineSpec,
+    settings: &TrainingSettings,
+    share: Share,
+    tell: &mut dyn FnMut(Stage, usize, usize),
+) -> Result<Vec<u8>, TrainError> {
+    let mut portions = Portions::only(spec, settings, share)?;
     let (cycle, leaks) = recognisable(spec, settings)?;
     let settings = &TrainingSettings { leaks: Some(leaks), ..settings.clone() };
-    let phases = cycle.phase_list();
-    let sample_rate_hz = 1.0 / spec.controller.log_period_s();
-    // A projection onto nothing, for which cycles are binned: the principal components come of these bins.
-    let bins = cycle.definition(sample_rate_hz, &phases, Projections::NONE).cycle_bins();
-    let nothing = vec![0.0; 2 * bins];
-    let projections = Projections::new(bins, &nothing);
-    let reading = Reading { cycle: &cycle, phases: &phases, sample_rate_hz, projections };
+    let frame = ReadingFrame::of(spec, &cycle);
+    let reading = &frame.reading(&cycle);
+    learn_cases(spec, settings, reading, &mut portions, tell)?;
+    CalibrationSets::draw(spec, settings).read(settings, reading, &mut portions, |_| ())?;
+    relative::simulate(spec, settings, reading, &mut portions, &mut |done, all| {
+        tell(Stage::Compare, done, all);
+    })?;
+    let simulator = CauseSimulator { spec, settings, reading };
+    causes::simulate(&simulator, &mut portions, &mut |done, all| tell(Stage::Causes, done, all))?;
+    report::read(&held_out(spec, settings), settings, reading, &mut portions, |_| ())?;
+    portions.into_bytes()
+}
 
-    let learned = learn_set(spec, settings, &reading, tell)?;
+/// Trains as [`train`] does, to the same bytes, with what was simulated elsewhere.
+///
+/// # Errors
+/// As [`train`], and [`TrainError::Share`] for a damaged portion.
+pub fn train_with(
+    spec: &MachineSpec,
+    settings: &TrainingSettings,
+    mut portions: Portions,
+    tell: &mut dyn FnMut(Stage, usize, usize),
+) -> Result<Trained, TrainError> {
+    let (cycle, leaks) = recognisable(spec, settings)?;
+    let settings = &TrainingSettings { leaks: Some(leaks), ..settings.clone() };
+    let frame = ReadingFrame::of(spec, &cycle);
+    let reading = frame.reading(&cycle);
+
+    let learned = learn_set(spec, settings, &reading, &mut portions, tell)?;
     let rows: Vec<Vec<f32>> = learned.iter().map(|case| case.mixed.bins().to_vec()).collect();
     let projections = pca::components(&rows, COMPONENTS);
     let all = feature_names(&cycle, &projections);
@@ -236,16 +275,24 @@ pub fn train(
         },
     )?;
     let forest = Forest::grow(&table, found.params, settings.seed);
-    let (calibration, training_distributions) =
-        calibrate(spec, settings, &reading, &features, &learned, &forest, transform)?;
-    let relative =
-        relative::learn(spec, settings, &reading, &mut |done, all| tell(Stage::Compare, done, all))
-            .ok_or(TrainError::Comparison { simulated: settings.relative_machines })?;
+    let (calibration, training_distributions) = calibration::calibrate(
+        &CalibrationSets::draw(spec, settings),
+        (settings, &reading),
+        &features,
+        &learned,
+        &forest,
+        transform,
+        &mut portions,
+    )?;
+    let relative = relative::learn(spec, settings, &reading, &mut portions, &mut |done, all| {
+        tell(Stage::Compare, done, all);
+    })?
+    .ok_or(TrainError::Comparison { simulated: settings.relative_machines })?;
 
     let mut file = ModelFile {
         schema: SCHEMA.into(),
         created_by: concat!("seepd ", env!("CARGO_PKG_VERSION")).into(),
-        sample_rate_hz,
+        sample_rate_hz: frame.sample_rate_hz,
         filter: settings.filter.map(Filter::Kalman),
         cycle: cycle.clone(),
         projections: projections.clone(),
@@ -263,32 +310,35 @@ pub fn train(
         plant_sha256: plant_sha256(spec)?,
         golden: Vec::new(),
         relative: Some(relative.clone()),
-        causes: causes::learn(&CauseSimulator { spec, settings, reading: &reading }, &mut |done, all| {
-            tell(Stage::Causes, done, all);
-        }),
+        causes: causes::learn(
+            &CauseSimulator { spec, settings, reading: &reading },
+            &mut portions,
+            &mut |done, all| {
+                tell(Stage::Causes, done, all);
+            },
+        )?,
         training: None,
     };
     let model = Model::from_file(file.clone()).map_err(TrainError::Model)?;
     file.golden = golden(&model, &table);
 
     tell(Stage::Measure, 0, 1);
-    let observations =
-        dataset::draw(spec, &settings.spread, leaks, settings.held_out, settings.seed, purpose::HELD_OUT);
-    let report = report::measure(&report::Subject {
+    let subject = report::Subject {
         model: &model,
         features: &features,
         reading: &reading,
-        observations: &observations,
+        observations: &held_out(spec, settings),
         learned: &learned,
         leaks,
         params: found.params,
         settings,
-    });
+    };
+    let report = report::measure(&subject, &mut portions)?;
     tell(Stage::Measure, 1, 1);
-    let relative = relative::measure(spec, settings, &reading, (&file, relative), &mut |done, all| {
-        tell(Stage::Measure, done, all);
-    })
-    .map_err(TrainError::Model)?;
+    let relative =
+        relative::measure(spec, settings, &reading, (&file, relative), &mut portions, &mut |done, all| {
+            tell(Stage::Measure, done, all);
+        })?;
     file.training = Some(Training {
         seed: settings.seed,
         observations: learned.len(),
@@ -311,6 +361,28 @@ pub fn train(
     Ok(Trained { json, model, report, relative, found, learned })
 }
 
+/// What [`Reading`] borrows: cycles are binned for a projection onto nothing, as principal components come of these bins.
+struct ReadingFrame {
+    phases: Vec<Phase>,
+    sample_rate_hz: f64,
+    bins: usize,
+    nothing: Vec<f32>,
+}
+
+impl ReadingFrame {
+    fn of(spec: &MachineSpec, cycle: &Cycle) -> Self {
+        let phases = cycle.phase_list();
+        let sample_rate_hz = 1.0 / spec.controller.log_period_s();
+        let bins = cycle.definition(sample_rate_hz, &phases, Projections::NONE).cycle_bins();
+        ReadingFrame { nothing: vec![0.0; 2 * bins], phases, sample_rate_hz, bins }
+    }
+
+    fn reading<'a>(&'a self, cycle: &'a Cycle) -> Reading<'a> {
+        let projections = Projections::new(self.bins, &self.nothing);
+        Reading { cycle, phases: &self.phases, sample_rate_hz: self.sample_rate_hz, projections }
+    }
+}
+
 /// Hash by which a model names the plant file that it was trained on: SHA-256 of the file with every value
 /// written out.
 ///
@@ -322,6 +394,7 @@ pub fn plant_sha256(spec: &MachineSpec) -> Result<String, TrainError> {
 }
 
 /// A simulated machine's cycle as it was read.
+#[derive(Serialize, Deserialize)]
 pub(crate) struct Case {
     pub(crate) leak_area_m2: f64,
     /// With a noise drawn from the training's range, filtered.
@@ -335,37 +408,53 @@ pub(crate) struct Case {
 /// The article's measurement noise.
 pub(crate) const ARTICLE_NOISE: f64 = 0.001;
 
+/// The cycles that are learned from.
+///
+/// # Errors
+/// [`TrainError::Unrecognised`] where too few are.
 fn learn_set(
     spec: &MachineSpec,
     settings: &TrainingSettings,
     reading: &Reading<'_>,
+    portions: &mut Portions,
+    tell: &mut dyn FnMut(Stage, usize, usize),
+) -> Result<Vec<Case>, TrainError> {
+    let cases = learn_cases(spec, settings, reading, portions, tell)?;
+    let (found, simulated) = (cases.len(), settings.observations);
+    if (found as f64) < settings.least_recognised * simulated as f64 {
+        return Err(TrainError::Unrecognised { found, simulated });
+    }
+    Ok(cases)
+}
+
+fn learn_cases(
+    spec: &MachineSpec,
+    settings: &TrainingSettings,
+    reading: &Reading<'_>,
+    portions: &mut Portions,
     tell: &mut dyn FnMut(Stage, usize, usize),
 ) -> Result<Vec<Case>, TrainError> {
     let leaks = settings.leaks_of(spec);
     let observations =
         dataset::draw(spec, &settings.spread, leaks, settings.observations, settings.seed, purpose::LEARN);
-    let mut cases = Vec::with_capacity(observations.len());
-    // In portions, for the progress bar.
-    for portion in observations.chunks(256) {
-        let read = dataset::simulate(portion, |index, commands| {
-            let observation = &portion[index];
-            let mut noise = noise_of(observation, settings);
-            let sigma = log_uniform(&mut noise, settings.noise);
-            let unit = dataset::unit_noise(&mut noise, commands.len());
-            let read = |filter, sigma| reading.read(commands, filter, sigma, &unit);
-            let mixed = read(settings.filter, sigma)?;
-            let quiet = read(settings.filter, ARTICLE_NOISE);
-            let loud = read(settings.filter, settings.noise.1);
-            let unfiltered = settings.noise_table.then(|| read(None, ARTICLE_NOISE));
-            let quiet = [quiet, unfiltered.flatten()];
-            Some(Case { leak_area_m2: observation.leak_area_m2, mixed, quiet, loud })
-        });
-        cases.extend(read.into_iter().flatten());
-        tell(Stage::Simulate, cases.len(), observations.len());
-    }
-    if (cases.len() as f64) < settings.least_recognised * observations.len() as f64 {
-        return Err(TrainError::Unrecognised { found: cases.len(), simulated: observations.len() });
-    }
+    let (mut cases, mut done) = (Vec::with_capacity(observations.len()), 0);
+    let read = |observation: &Observation, commands: &[f64]| {
+        let mut noise = noise_of(observation, settings);
+        let sigma = log_uniform(&mut noise, settings.noise);
+        let unit = dataset::unit_noise(&mut noise, commands.len());
+        let read = |filter, sigma| reading.read(commands, filter, sigma, &unit);
+        let mixed = read(settings.filter, sigma)?;
+        let quiet = read(settings.filter, ARTICLE_NOISE);
+        let loud = read(settings.filter, settings.noise.1);
+        let unfiltered = settings.noise_table.then(|| read(None, ARTICLE_NOISE));
+        let quiet = [quiet, unfiltered.flatten()];
+        Some(Case { leak_area_m2: observation.leak_area_m2, mixed, quiet, loud })
+    };
+    dataset::in_portions(("learned", portions), &observations, read, |case| {
+        cases.extend(case);
+        done += 1;
+        tell(Stage::Simulate, done, observations.len());
+    })?;
     Ok(cases)
 }
 
@@ -612,73 +701,10 @@ impl<'a> Features<'a> {
     }
 }
 
-/// The intervals' calibration and what cycles look like, on machines that were not learned from, at each level of noise.
-fn calibrate(
-    spec: &MachineSpec,
-    settings: &TrainingSettings,
-    reading: &Reading<'_>,
-    features: &Features<'_>,
-    learned: &[Case],
-    forest: &Forest,
-    transform: Transform,
-) -> Result<(Calibration, Vec<TrainingDistribution>), TrainError> {
-    let levels = &relative::CALIBRATED_NOISE;
+/// Machines that nothing is learned from, for the report.
+fn held_out(spec: &MachineSpec, settings: &TrainingSettings) -> Vec<Observation> {
     let leaks = settings.leaks_of(spec);
-    let observations = dataset::draw(
-        spec,
-        &settings.spread,
-        leaks,
-        settings.calibrated_on,
-        settings.seed,
-        purpose::CALIBRATE,
-    );
-    let read = |observations: &[Observation]| {
-        dataset::simulate(observations, |index, commands| {
-            let case = (&observations[index], commands);
-            report::read_at_each_noise(reading, features, settings, case, settings.filter, levels)
-        })
-    };
-    let readings = read(&observations);
-    let count = settings.observations / LEARNED_TO_BEYOND;
-    let mut beyond = dataset::draw(spec, &settings.spread, leaks, count, settings.seed, purpose::BEYOND);
-    for (index, observation) in beyond.iter_mut().enumerate() {
-        observation.leak_area_m2 = leaks.beyond_m2(index as f64 / count as f64);
-    }
-    let beyond = read(&beyond);
-    let ensemble = Ensemble::new(&forest.trees, features.names.len()).map_err(TrainError::Model)?;
-    let predict = |level: usize, is_wanted: &dyn Fn(f64) -> bool| -> Vec<Prediction> {
-        let cases = observations.iter().zip(&readings).filter(|(case, _)| is_wanted(case.leak_area_m2));
-        cases
-            .filter_map(|(case, reading)| {
-                let (mean, spread) = ensemble.vote(&reading[level].as_ref()?.0);
-                Some(Prediction { truth: transform.forward(case.leak_area_m2), mean, spread })
-            })
-            .collect()
-    };
-    let by_noise: Vec<(f64, Vec<Prediction>)> = levels
-        .iter()
-        .enumerate()
-        .map(|(level, noise)| (*noise, predict(level, &|area| area > 0.0)))
-        .collect();
-    let healthy = (0..levels.len()).flat_map(|level| predict(level, &|area| area == 0.0));
-    let calibration = conformal::calibration(&by_noise, healthy.map(|one| transform.back(one.mean).max(0.0)));
-    Ok((calibration, describe_cycles(&ensemble, features, learned, &readings, &beyond)))
-}
-
-/// What cycles look like: learned from the model's own machines and half of those with leaks beyond, limits from the others.
-fn describe_cycles<const LEVELS: usize>(
-    ensemble: &Ensemble,
-    features: &Features<'_>,
-    learned: &[Case],
-    others: &[[Option<report::Read>; LEVELS]],
-    beyond: &[[Option<report::Read>; LEVELS]],
-) -> Vec<TrainingDistribution> {
-    let row = |(values, means): &report::Read| (ensemble.vote(values).0, means.clone());
-    // Leaks ascend, so that each half has all sizes.
-    let half = |from: usize| beyond.iter().skip(from).step_by(2).flatten().flatten().map(row);
-    let learned = learned.iter().map(|case| row(&features.read(&case.mixed))).chain(half(0)).collect();
-    let others = others.iter().flatten().flatten().map(row).chain(half(1));
-    out_of_distribution::describe(learned, others).unwrap_or_default()
+    dataset::draw(spec, &settings.spread, leaks, settings.held_out, settings.seed, purpose::HELD_OUT)
 }
 
 /// Pairs spread over the range of the target.

@@ -1,7 +1,7 @@
 //! `seepd train`: a model from a simulated machine.
 
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use seepd_sim::MachineSpec;
@@ -9,7 +9,7 @@ use seepd_sim::series::Tolerances;
 use seepd_train::relative::{RelativeAccuracy, RelativeReport};
 use seepd_train::report::{Accuracy, NoiseLine, Report};
 use seepd_train::train::Stage;
-use seepd_train::{Spread, TrainError, Trained, TrainingSettings};
+use seepd_train::{Portions, Share, Spread, TrainError, Trained, TrainingSettings};
 use serde::Serialize;
 
 use super::simulate::read_plant;
@@ -27,12 +27,20 @@ use crate::sink::terminal::print;
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd train --out model.json\n  seepd train --plant press-3.toml --out press-3.json --seed 2\n\n\
+                        On several machines, to the same bytes:\n  seepd train --share 1/2 --out one.share\n  seepd train --share 2/2 --out two.share\n  \
+                        seepd train --shares one.share two.share --out model.json\n\n\
                         The embedded model is rebuilt by\n  seepd train --out crates/daemon/assets/model.json"
 )]
 pub struct TrainArguments {
-    /// Model to write
+    /// Model to write; with --share, what the share came to
     #[arg(long, value_name = "FILE")]
     out: PathBuf,
+    /// Only simulate the I-th of N shares of the machines, for --shares: most of a training's time, spread over so many computers
+    #[arg(long, value_name = "I/N", value_parser = share, conflicts_with_all = ["data", "json", "shares"])]
+    share: Option<Share>,
+    /// Take what --share made elsewhere with the same options; what is missing is simulated here
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    shares: Vec<PathBuf>,
     /// Write the observations that were learned from as CSV (features, leak_area_m2), for trees of other tools
     #[arg(long, value_name = "FILE")]
     data: Option<PathBuf>,
@@ -85,6 +93,12 @@ const FULL_TEST: usize = 8192;
 /// # Errors
 /// [`Failure`] for arguments, plant file, training or output.
 pub fn run(arguments: &TrainArguments) -> Result<Outcome, Failure> {
+    if arguments.share.is_some() {
+        let claim = || Outputs::new(arguments.overwrite, arguments.plant.as_deref()).claim(&arguments.out);
+        let (simulated, out) = share_simulated(arguments, claim)?;
+        out.write(&simulated)?;
+        return Ok(Outcome::Good);
+    }
     let claim = || {
         let mut outputs = Outputs::new(arguments.overwrite, arguments.plant.as_deref());
         Ok((outputs.claim(&arguments.out)?, outputs.claim_any(arguments.data.as_ref())?))
@@ -133,6 +147,49 @@ pub fn trained<T>(
     arguments: &TrainArguments,
     begin: impl FnOnce() -> Result<T, Failure>,
 ) -> Result<(Trained, T), Failure> {
+    let (spec, settings) = asked_for(arguments)?;
+    let mut portions = Portions::default();
+    for path in &arguments.shares {
+        let bytes = std::fs::read(path).map_err(|error| Failure::reading(path, &error))?;
+        portions.add(&spec, &settings, &bytes).map_err(|error| refused(path, &error))?;
+    }
+    let begun = begin()?;
+    let trained = with_progress(&spec, &settings, portions).map_err(|error| failure(&error))?;
+    Ok((trained, begun))
+}
+
+/// Simulates the share that the arguments ask for; `begin` as for [`trained`].
+///
+/// # Errors
+/// As [`run`], and what `begin` gives.
+pub fn share_simulated<T>(
+    arguments: &TrainArguments,
+    begin: impl FnOnce() -> Result<T, Failure>,
+) -> Result<(Vec<u8>, T), Failure> {
+    let (spec, settings) = asked_for(arguments)?;
+    let Some(share) = arguments.share else {
+        return Err(Failure::new(Code::Usage, "which share? --share 1/8 is the first of eight"));
+    };
+    let begun = begin()?;
+    let simulated = each_stage(|tell| seepd_train::simulate_share(&spec, &settings, share, tell));
+    Ok((simulated.map_err(|error| failure(&error))?, begun))
+}
+
+/// `3/8`.
+fn share(text: &str) -> Result<Share, String> {
+    let parts = text.split_once('/').and_then(|(number, of)| Some((number.parse().ok()?, of.parse().ok()?)));
+    parts
+        .and_then(|(number, of)| Share::new(number, of))
+        .ok_or_else(|| format!("{text:?} is no share; 3/8 is the third of eight"))
+}
+
+/// A share that cannot be taken.
+fn refused(path: &Path, error: &TrainError) -> Failure {
+    Failure::new(Code::Data, format!("{}: {error}", path.display()))
+}
+
+/// The machine and what is asked of its training.
+fn asked_for(arguments: &TrainArguments) -> Result<(MachineSpec, TrainingSettings), Failure> {
     let limits = [
         ("--observations", arguments.observations as f64, 100.0, 1e6),
         ("--held-out", arguments.held_out as f64, 100.0, 1e6),
@@ -152,7 +209,6 @@ pub fn trained<T>(
         }
     }
     let spec = read_plant(arguments.plant.as_deref())?;
-    let begun = begin()?;
     let settings = TrainingSettings {
         seed: arguments.seed,
         observations: arguments.observations,
@@ -170,8 +226,7 @@ pub fn trained<T>(
         tested_on: if arguments.full { FULL_TEST } else { arguments.held_out / 2 },
         ..TrainingSettings::default()
     };
-    let trained = with_progress(&spec, &settings).map_err(|error| failure(&error))?;
-    Ok((trained, begun))
+    Ok((spec, settings))
 }
 
 /// `seepd.training/1`: what was trained and what it is worth on machines that it has not seen.
@@ -207,9 +262,18 @@ fn write_rows(out: &mut impl Write, trained: &Trained) -> Result<(), csv::Error>
 }
 
 /// Trains, and shows how far it is.
-pub(super) fn with_progress(spec: &MachineSpec, settings: &TrainingSettings) -> Result<Trained, TrainError> {
+pub(super) fn with_progress(
+    spec: &MachineSpec,
+    settings: &TrainingSettings,
+    portions: Portions,
+) -> Result<Trained, TrainError> {
+    each_stage(|tell| seepd_train::train_with(spec, settings, portions, tell))
+}
+
+/// Shows how far each stage of the work is.
+fn each_stage<T>(work: impl FnOnce(&mut dyn FnMut(Stage, usize, usize)) -> T) -> T {
     let mut progress: Option<((Stage, usize), Steps)> = None;
-    seepd_train::train(spec, settings, &mut |now, done, all| {
+    work(&mut |now, done, all| {
         // The last stage's bar goes before the next one's comes.
         progress = progress.take().filter(|(stage, _)| *stage == (now, all));
         let (_, steps) = progress.get_or_insert_with(|| ((now, all), Steps::begin(all as u64, name_of(now))));
@@ -233,6 +297,7 @@ fn failure(error: &TrainError) -> Failure {
         | TrainError::Spec(_)
         | TrainError::Unrecognised { .. }
         | TrainError::Comparison { .. } => Code::Configuration,
+        TrainError::NotAShare | TrainError::ForeignShare | TrainError::Share(_) => Code::Data,
         _ => Code::Internal,
     };
     Failure::new(code, error.to_string())

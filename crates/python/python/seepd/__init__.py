@@ -14,6 +14,7 @@ import os
 import warnings as _warnings
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -60,6 +61,7 @@ __all__ = [
     "read",
     "replay",
     "simulate",
+    "simulate_share",
     "train",
 ]
 
@@ -165,16 +167,33 @@ def learn_baseline(
     return Baseline(text)
 
 
-def train(plant: PathLike | None = None, **options: Any) -> Model:
+def train(plant: PathLike | None = None, *, shares: Iterable[bytes] = (), **options: Any) -> Model:
     """A model for a plant file (the nominal press by default), as ``seepd train`` makes it: the same seed gives the same bytes.
 
     Options: ``seed``, ``observations``, ``held_out``, ``trials``, ``compared``, ``causes``, ``calibration``, ``full``,
-    ``parameter_spread``, ``load_spread``. ``Model.report`` says what it is worth.
+    ``parameter_spread``, ``load_spread``. ``Model.report`` says what it is worth. ``shares`` are what :func:`simulate_share` gave for the
+    same plant file and options, on whatever machines; what none of them has is simulated here, and the model is the same.
     """
-    _refuse(options, {"out", "data", "json", "force"})
-    model, report, notes = _core.train(words({"out": os.devnull, "plant": plant, **options}))
+    _refuse(options, {"out", "data", "json", "force", "share"})
+    with TemporaryDirectory(prefix="seepd-") as folder:
+        files = []
+        for number, share in enumerate(shares, 1):
+            files.append(os.path.join(folder, f"{number}.share"))
+            with open(files[-1], "wb") as file:
+                file.write(share)
+        model, report, notes = _core.train(words({"out": os.devnull, "plant": plant, "shares": files, **options}))
     _warn(notes)
     return Model(model, json.loads(report))
+
+
+def simulate_share(number: int, of: int, plant: PathLike | None = None, **options: Any) -> bytes:
+    """One of so many shares of the machines that :func:`train` learns from: what takes most of a training's time, for several machines
+    to do side by side. ``options`` are those of :func:`train`."""
+    _refuse(options, {"out", "data", "json", "force", "share", "shares"})
+    given = {"out": os.devnull, "plant": plant, "share": f"{number}/{of}", **options}
+    simulated, notes = _core.simulate_share(words(given))
+    _warn(notes)
+    return simulated
 
 
 def simulate(

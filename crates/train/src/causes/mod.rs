@@ -13,15 +13,19 @@ use seepd_model::causes::{Cause, Causes, Change};
 use seepd_model::schema::{CausesFile, CausesGolden, CellFile};
 use seepd_sim::MachineSpec;
 use seepd_sim::noise::Noise;
+use serde::{Deserialize, Serialize};
 
 use crate::conformal::significant;
 use crate::dataset::{self, Observation, Reading};
+use crate::portions::Portions;
 use crate::relative::{Conditions, simulate_stably};
-use crate::train::TrainingSettings;
+use crate::train::{TrainError, TrainingSettings};
 
 use basis::Basis;
 use curves::Curve;
 
+/// Fewer machines name no cause.
+const LEAST_MACHINES: usize = 2;
 /// Least share of a range's machines whose cycles must have been found.
 const LEAST_FOUND: f64 = 0.5;
 /// Machines that say how far a known cause may lie from what was learned, at one in so many ranges.
@@ -57,7 +61,7 @@ pub(crate) struct CauseSimulator<'a> {
 }
 
 /// A response with the size of its cause.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 struct Response {
     size: f64,
     numbers: Vec<f64>,
@@ -95,8 +99,9 @@ impl CauseSimulator<'_> {
         &self,
         curves: &[Curve],
         (machines, purpose, step): (usize, u64, usize),
+        portions: &mut Portions,
         tell: &mut dyn FnMut(usize),
-    ) -> Vec<(usize, Vec<Response>)> {
+    ) -> Result<Vec<(usize, Vec<Response>)>, TrainError> {
         let healthy: Vec<Observation> = (0..machines).map(|index| self.machine(purpose, index)).collect();
         let before = self.read(&healthy);
         let all = curves
@@ -104,15 +109,18 @@ impl CauseSimulator<'_> {
             .enumerate()
             .flat_map(|(number, curve)| curve.ranges().map(move |range| (number, range)));
         let ranges: Vec<(usize, (usize, [f64; 2]))> = all.enumerate().step_by(step).collect();
+        let respond = |(index, (number, range)): &(usize, (usize, [f64; 2]))| {
+            let noise = Noise::new(self.settings.seed ^ 0x6361_7573, (purpose << 32) + *index as u64);
+            (*number, self.respond(&curves[*number], *range, (&healthy, &before), noise))
+        };
         let mut cells = Vec::with_capacity(ranges.len());
-        for portion in ranges.chunks(PORTION) {
-            cells.par_extend(portion.par_iter().map(|(index, (number, range))| {
-                let noise = Noise::new(self.settings.seed ^ 0x6361_7573, (purpose << 32) + *index as u64);
-                (*number, self.respond(&curves[*number], *range, (&healthy, &before), noise))
-            }));
-            tell(step * cells.len());
+        for (portion, ranges) in ranges.chunks(PORTION).enumerate() {
+            let name = format!("responses {purpose} {portion}");
+            let responses = portions.take(&name, || ranges.par_iter().map(respond).collect::<Vec<_>>())?;
+            cells.extend(responses.into_iter().flatten());
+            tell(step * (portion * PORTION + ranges.len()));
         }
-        cells
+        Ok(cells)
     }
 
     /// What a range of a curve does to machines whose cycles without it are known.
@@ -145,26 +153,73 @@ impl CauseSimulator<'_> {
 }
 
 /// Learns causes; `None` where none are asked for, or too little was recognised to tell any apart. `tell` hears of the ranges done and all.
+///
+/// # Errors
+/// [`TrainError`] for a portion that is damaged.
 pub(crate) fn learn(
     simulator: &CauseSimulator<'_>,
+    portions: &mut Portions,
     tell: &mut dyn FnMut(usize, usize),
+) -> Result<Option<CausesFile>, TrainError> {
+    if simulator.settings.cause_machines < LEAST_MACHINES {
+        return Ok(None);
+    }
+    let basis = Basis::learn(simulator);
+    let curves = curves::all(simulator.spec);
+    let responses = simulate_curves(simulator, &curves, portions, tell)?;
+    Ok(basis.and_then(|basis| learn_from(simulator, &curves, &basis, &responses)))
+}
+
+/// Simulates what [`learn`] needs, as far as it is to be simulated here.
+///
+/// # Errors
+/// [`TrainError`] for a portion that cannot be written.
+pub(crate) fn simulate(
+    simulator: &CauseSimulator<'_>,
+    portions: &mut Portions,
+    tell: &mut dyn FnMut(usize, usize),
+) -> Result<(), TrainError> {
+    if simulator.settings.cause_machines >= LEAST_MACHINES {
+        simulate_curves(simulator, &curves::all(simulator.spec), portions, tell)?;
+    }
+    Ok(())
+}
+
+/// Responses to learn from, and those of other machines.
+struct Responses {
+    learned: Vec<(usize, Vec<Response>)>,
+    held_out: Vec<(usize, Vec<Response>)>,
+}
+
+fn simulate_curves(
+    simulator: &CauseSimulator<'_>,
+    curves: &[Curve],
+    portions: &mut Portions,
+    tell: &mut dyn FnMut(usize, usize),
+) -> Result<Responses, TrainError> {
+    let all: usize = curves.iter().map(|curve| curve.ranges().count()).sum();
+    let learned = (simulator.settings.cause_machines, purpose::MACHINES, 1);
+    let held_out = (HELD_OUT_MACHINES, purpose::HELD_OUT, HELD_OUT_STEP);
+    Ok(Responses {
+        learned: simulator.responses(curves, learned, portions, &mut |done| tell(done, 2 * all))?,
+        held_out: simulator.responses(curves, held_out, portions, &mut |done| tell(all + done, 2 * all))?,
+    })
+}
+
+fn learn_from(
+    simulator: &CauseSimulator<'_>,
+    curves: &[Curve],
+    basis: &Basis,
+    Responses { learned, held_out }: &Responses,
 ) -> Option<CausesFile> {
     let machines = simulator.settings.cause_machines;
-    if machines < 2 {
-        return None;
-    }
-    let curves = curves::all(simulator.spec);
-    let all: usize = curves.iter().map(|curve| curve.ranges().count()).sum();
-    let basis = Basis::learn(simulator)?;
-    let responses =
-        simulator.responses(&curves, (machines, purpose::MACHINES, 1), &mut |done| tell(done, 2 * all));
     let mut cells: Vec<CellFile> = Vec::new();
-    for (number, responses) in &responses {
+    for (number, responses) in learned {
         let curve = &curves[*number];
         if (responses.len() as f64) < LEAST_FOUND * machines as f64 {
             continue;
         }
-        let cell = cell(curve, &basis, responses);
+        let cell = cell(curve, basis, responses);
         if curve.kind.cause == Cause::PistonSeal {
             cells.push(reversed(&cell));
         }
@@ -180,10 +235,6 @@ pub(crate) fn learn(
         golden: Vec::new(),
     };
     let causes = Causes::from_file(file.clone()).ok()?;
-    let held_out =
-        simulator.responses(&curves, (HELD_OUT_MACHINES, purpose::HELD_OUT, HELD_OUT_STEP), &mut |done| {
-            tell(all + done, 2 * all);
-        });
     let noise = TYPICAL_NOISE / TYPICAL_CYCLES.sqrt();
     let mut distances: Vec<f64> = held_out
         .iter()
@@ -194,7 +245,7 @@ pub(crate) fn learn(
     let known = distances.get((KNOWN * distances.len() as f64) as usize).copied()?;
     // Noise and ordinary variation, which these responses lack, give 1.
     file.known_limit = significant(ROOM * (1.0 + known));
-    file.golden = golden(&file, &held_out)?;
+    file.golden = golden(&file, held_out)?;
     Some(file)
 }
 

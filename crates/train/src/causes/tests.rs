@@ -33,7 +33,8 @@ fn analytic_null_shift_moves_every_mean_by_itself_and_no_rise() {
             .into_iter()
             .filter(|curve| curve.kind.cause == Cause::ValveNull)
             .collect();
-        let responses = simulator.responses(&curves, (2, 77, 3), &mut |_| ());
+        let responses =
+            simulator.responses(&curves, (2, 77, 3), &mut Portions::default(), &mut |_| ()).unwrap();
         assert_eq!(responses.len(), 3);
         for response in responses.iter().flat_map(|(_, responses)| responses) {
             let (means, rises) = response.numbers.split_at(response.numbers.len() / 2);

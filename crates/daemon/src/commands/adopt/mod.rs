@@ -25,7 +25,7 @@ use seepd_model::Model;
 use seepd_monitor::baseline::{BaselineFile, MOST_CYCLES};
 use seepd_monitor::pipeline::{DutyCycle, Pipeline};
 use seepd_signals::Signal;
-use seepd_train::{TrainError, Trained};
+use seepd_train::{Portions, TrainError, Trained};
 
 use super::reading::each_sample;
 use super::train::with_progress;
@@ -286,7 +286,8 @@ fn model(
     let basis = folder.read_basis()?;
     let spec = basis.with_steps_for_all(&spec);
     let settings = basis.settings(&spec, effort);
-    let trained = with_progress(&spec, &settings).map_err(|error| training_failure(&error))?;
+    let trained =
+        with_progress(&spec, &settings, Portions::default()).map_err(|error| training_failure(&error))?;
     folder.write("model.json", &trained.json)?;
     let model = load_model(&folder.path("model.json"))?;
     Ok((Arc::new(model), Some(trained)))

@@ -56,6 +56,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     job.add_argument("--rehash", action="store_true", help="read logs whose size and time are as before, too")
     job.add_argument(
+        "--shares", type=int, default=8, metavar="N", help="of train: tasks that the simulation is spread over [8]"
+    )
+    job.add_argument(
         "--option", action="append", default=[], metavar="NAME=VALUE", help="of train (seed=2) and adopt (quick=true)"
     )
     job.add_argument("--json", action="store_true", help="print the counts as one JSON object")
@@ -105,6 +108,8 @@ def _run(parsed: argparse.Namespace) -> int:
         raise UsageError(f"--learn-cycles is {parsed.learn_cycles}; it must lie in 20 … 1000")
     if parsed.workers is not None and not 1 <= parsed.workers <= 1024:
         raise UsageError(f"--workers is {parsed.workers}; it must lie in 1 … 1024")
+    if not 1 <= parsed.shares <= 4096:
+        raise UsageError(f"--shares is {parsed.shares}; it must lie in 1 … 4096")
     settings = Settings(
         job=parsed.job,
         store=parsed.out,
@@ -113,6 +118,7 @@ def _run(parsed: argparse.Namespace) -> int:
         retry_failed=parsed.retry_failed,
         rehash=parsed.rehash,
         options=_options(parsed.option),
+        shares=parsed.shares,
     )
     engine, progress = _engine(parsed, shard is not None), _Progress()
     try:

@@ -266,14 +266,30 @@ def _baseline(unit: Unit, store: Store) -> dict[str, Any] | None:
     return {"cycles": newest.get("cycles"), "notes": newest.get("remarks", []), "artifact": unit["artifact"]}
 
 
+def _share(unit: Unit, store: Store) -> dict[str, Any] | None:
+    """A share of the simulation for a model, kept until the model is there."""
+    if store.read(unit["artifact"]) is not None:
+        return None
+    simulated = seepd.simulate_share(unit["number"], len(unit["shares"]), unit.get("plant"), **unit["options"])
+    try:
+        store.write(unit["artifact"], simulated)
+    except IoError as error:
+        raise _StoreError(error) from None
+    return {"artifact": unit["artifact"]}
+
+
 def _train(unit: Unit, store: Store) -> dict[str, Any] | None:
     if unit.get("known_sha256") is not None and store.read(unit["artifact"]) is not None:
         return None
-    model = seepd.train(unit.get("plant"), **unit["options"])
+    # A share whose worker died is simulated here.
+    shares = [simulated for path in unit["shares"] if (simulated := store.read(path)) is not None]
+    model = seepd.train(unit.get("plant"), shares=shares, **unit["options"])
     try:
         store.write(unit["artifact"], model.content)
     except IoError as error:
         raise _StoreError(error) from None
+    for path in unit["shares"]:
+        store.remove(path)
     return {
         "result": json.dumps(model.report),
         "artifact": unit["artifact"],
@@ -314,9 +330,10 @@ _JOBS = {
     "evaluate": _with_log(_evaluate),
     "gap": _with_log(_gap),
     "baseline": _baseline,
+    "share": _share,
     "train": _train,
     "adopt": _adopt,
 }
-JOBS = tuple(name for name in _JOBS if name != "baseline")
+JOBS = tuple(name for name in _JOBS if name not in ("baseline", "share"))
 
 need("pyarrow.parquet", "fleet")

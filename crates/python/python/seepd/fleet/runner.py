@@ -35,6 +35,8 @@ class Settings:
     rehash: bool = False
     #: Of ``train`` (its options) and ``adopt`` (``quick``).
     options: dict[str, Any] = field(default_factory=dict)
+    #: Tasks that the simulation for a model is spread over; the model is the same whatever their number.
+    shares: int = 8
 
 
 @dataclass
@@ -74,7 +76,7 @@ def run(
                 raise of_exit_code(result["exit_code"], result["refused"])
             if "lost" in result:
                 result = lost(unit, result["lost"])
-            if unit["job"] != "baseline":
+            if unit["job"] in JOBS:
                 note(result["status"], result.get("kind"), result.get("reason"))
     return outcome
 
@@ -96,7 +98,7 @@ class _Plan:
         """What must be finished before the next begins: baselines before the logs that are compared with them."""
         job = self.settings.job
         if job == "train":
-            return [self._series]
+            return [self._shares, self._series] if self.settings.shares > 1 else [self._series]
         if job == "adopt":
             return [self._machines]
         return [self._baselines, self._logs] if job == "replay" else [self._logs]
@@ -184,6 +186,14 @@ class _Plan:
         self.store.write_table(path, table)
         note("failed", row["kind"], row["reason"])
 
+    def _shares(self, note: Note) -> Iterator[Unit]:
+        """The simulation for each series' model, in shares that need nothing of each other."""
+        for unit in self._series(note):
+            if unit["known_sha256"] is None or self.store.read(unit["artifact"]) is None:
+                for number, artifact in enumerate(unit["shares"], 1):
+                    of = f"share {number} of {len(unit['shares'])}"
+                    yield {**unit, "job": "share", "log": of, "artifact": artifact, "number": number}
+
     def _series(self, _note: Note) -> Iterator[Unit]:
         """A model for each series: for the plant file that its machines share."""
         plants: dict[str, set[str | None]] = {}
@@ -199,8 +209,13 @@ class _Plan:
                 "log": "",
                 "options": self.settings.options,
                 "artifact": f"models/{series}/{unit['inputs_sha256'][:24]}.json",
+                "shares": self._share_paths(f"shares/{series}/{unit['inputs_sha256'][:24]}"),
             }
             yield {**unit, "known_sha256": self._sha_of_done(unit)}
+
+    def _share_paths(self, base: str) -> list[str]:
+        of = self.settings.shares
+        return [f"{base}/{number}-of-{of}" for number in range(1, of + 1)] if of > 1 else []
 
     def _machines(self, _note: Note) -> Iterator[Unit]:
         for machine in self.manifest.machines:
