@@ -113,6 +113,18 @@ fn links_lead_somewhere() {
     assert!(links > 30, "{links}");
 }
 
+/// A page that the site's table of contents lacks is no page of the site.
+#[test]
+fn every_page_is_in_the_table_of_contents() {
+    let contents = fs::read_to_string(root().join("docs/SUMMARY.md")).unwrap();
+    for entry in fs::read_dir(root().join("docs")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        if name.ends_with(".md") && name != "SUMMARY.md" {
+            assert!(contents.contains(&format!("({name})")), "{name}");
+        }
+    }
+}
+
 #[test]
 fn reasons_are_documented_as_they_are_explained() {
     let text = fs::read_to_string(root().join("docs/reasons.md")).unwrap();

@@ -27,4 +27,5 @@ mod models;
 mod quality;
 mod reports;
 mod support;
+mod transcripts;
 mod trust;

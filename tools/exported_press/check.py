@@ -69,6 +69,7 @@ def main():
     parser.add_argument("--library", help="PLATFORM=FILE, for export-fmu")
     parser.add_argument("--cycles", default="12")
     parser.add_argument("--every", type=int, default=1, help="only every N-th log")
+    parser.add_argument("--skip", type=int, default=0, help="leave out so many of the first logs")
     parser.add_argument("--logs", nargs="*", help="logs that are there already, of the nominal press, instead")
     arguments = parser.parse_args()
     seepd = os.path.abspath(arguments.seepd)
@@ -88,7 +89,7 @@ def main():
                 cases.append((effect, [f"{effect}.{p[0]}={value(p, share):.6g}" for p in parameters]))
         if arguments.logs:
             cases = [(log, log) for log in arguments.logs]
-        for number, (effect, assignments) in enumerate(cases[:: arguments.every]):
+        for number, (effect, assignments) in list(enumerate(cases[:: arguments.every]))[arguments.skip:]:
             log = folder / "log.mcap"
             if arguments.logs:
                 log = assignments
