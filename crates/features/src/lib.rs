@@ -10,6 +10,7 @@ mod noise;
 pub mod reader;
 pub mod segment;
 pub mod statistics;
+mod stored;
 
 pub use feature::Feature;
 pub use intake::Counts;

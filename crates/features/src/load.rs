@@ -1,12 +1,11 @@
 //! The load over a cycle, where the samples tell it: from its own signal, or from the two chambers' pressures.
 
 use seepd_signals::{Sample, Signal};
-use serde::{Deserialize, Serialize};
 
 use crate::segment::{CycleDefinition, MAX_CYCLE_BINS, Span};
 
 /// A cycle's load.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LoadSummary {
     /// Mean over the cycle, N, positive in the extending direction.
     pub mean_n: f64,

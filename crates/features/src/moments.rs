@@ -1,7 +1,5 @@
 //! Mean, standard deviation, skewness and kurtosis in one numerically stable pass.
 
-use serde::{Deserialize, Serialize};
-
 /// Central moments of a stream. Samples are summed in small blocks around the block's first value, and blocks
 /// are merged by the pairwise update of Pébay, "Formulas for robust, one-pass parallel computation of
 /// covariances and arbitrary-order statistical moments", SAND2008-6212 (2008), equations (1.1)–(1.5): as
@@ -105,7 +103,7 @@ impl Moments {
 }
 
 /// The four moments of a set of values.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct MomentSummary {
     /// Mean.
     pub mean: f64,

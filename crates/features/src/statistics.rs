@@ -1,7 +1,5 @@
 //! What is computed once for a cycle, from which each feature is then read off.
 
-use serde::{Deserialize, Serialize};
-
 use crate::load::LoadSummary;
 use crate::moments::{MomentSummary, Moments};
 use crate::segment::{CycleDefinition, MAX_CYCLE_BINS, MAX_PHASES, PhaseKind, Span};
@@ -71,7 +69,7 @@ impl<'a> RingView<'a> {
 }
 
 /// A phase's summary.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct PhaseStatistics {
     /// Samples.
     pub count: f64,
@@ -89,8 +87,20 @@ pub struct PhaseStatistics {
     pub extremes: (f64, f64),
 }
 
+impl PhaseStatistics {
+    const EMPTY: Self = PhaseStatistics {
+        count: 0.0,
+        mean: 0.0,
+        mean_absolute: 0.0,
+        energy: 0.0,
+        slope_per_s: 0.0,
+        rise: 0.0,
+        extremes: (0.0, 0.0),
+    };
+}
+
 /// A cycle's summary.
-#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy)]
 pub struct CycleStatistics {
     /// Over the whole cycle.
     pub moments: MomentSummary,
@@ -114,12 +124,28 @@ pub struct CycleStatistics {
     pub noise: f64,
     /// The load over the cycle, where the samples tell it.
     pub load: Option<LoadSummary>,
-    #[serde(with = "stored_bins")]
-    bins: [f32; MAX_CYCLE_BINS],
-    bin_count: usize,
+    pub(crate) bins: [f32; MAX_CYCLE_BINS],
+    pub(crate) bin_count: usize,
 }
 
 impl CycleStatistics {
+    /// Of no cycle.
+    pub(crate) const EMPTY: Self = CycleStatistics {
+        moments: MomentSummary { mean: 0.0, standard_deviation: 0.0, skewness: 0.0, kurtosis: 0.0 },
+        extremes: (0.0, 0.0),
+        phases: [PhaseStatistics::EMPTY; MAX_PHASES],
+        energy: (0.0, 0.0),
+        oscillation: 0.0,
+        trend_per_s: 0.0,
+        edge_times_s: (0.0, 0.0),
+        stroke_scale: 0.0,
+        amplitude_variation: 0.0,
+        noise: 0.0,
+        load: None,
+        bins: [0.0; MAX_CYCLE_BINS],
+        bin_count: 0,
+    };
+
     /// Summarises the cycle that lies in the ring at `span`.
     pub(crate) fn of(definition: &CycleDefinition<'_>, ring: &RingView<'_>, span: &Span) -> Self {
         let timeline = Timeline { definition, span };
@@ -131,21 +157,9 @@ impl CycleStatistics {
                 widen(&mut extremes, u);
             });
         });
-        let mut statistics = CycleStatistics {
-            moments: moments.summary(),
-            extremes,
-            phases: [PhaseStatistics::default(); MAX_PHASES],
-            energy: (0.0, 0.0),
-            oscillation: 0.0,
-            trend_per_s: 0.0,
-            edge_times_s: (0.0, 0.0),
-            stroke_scale: 0.0,
-            amplitude_variation: 0.0,
-            noise: 0.0,
-            load: None,
-            bins: [0.0; MAX_CYCLE_BINS],
-            bin_count: definition.cycle_bins().min(MAX_CYCLE_BINS),
-        };
+        let bin_count = definition.cycle_bins().min(MAX_CYCLE_BINS);
+        let mut statistics =
+            CycleStatistics { moments: moments.summary(), extremes, bin_count, ..CycleStatistics::EMPTY };
         statistics.fill_phases(&timeline, ring);
         statistics.fill_strokes(&timeline, ring);
         statistics.fill_bins(&timeline, ring);
@@ -250,35 +264,6 @@ impl CycleStatistics {
     /// The cycle's command in bins, aligned to its anchors; empty where the definition has no projection.
     pub fn bins(&self) -> &[f32] {
         self.bins.get(..self.bin_count).unwrap_or_default()
-    }
-}
-
-/// Bins as serde knows arrays: of at most 32.
-mod stored_bins {
-    use serde::de::{Deserialize, Deserializer};
-    use serde::ser::{Serialize, Serializer};
-
-    use crate::segment::MAX_CYCLE_BINS;
-
-    const ROW: usize = 32;
-    type Rows = [[f32; ROW]; MAX_CYCLE_BINS / ROW];
-
-    pub(super) fn serialize<S: Serializer>(
-        bins: &[f32; MAX_CYCLE_BINS],
-        serializer: S,
-    ) -> Result<S::Ok, S::Error> {
-        let mut rows: Rows = Default::default();
-        rows.as_flattened_mut().copy_from_slice(bins);
-        rows.serialize(serializer)
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
-        deserializer: D,
-    ) -> Result<[f32; MAX_CYCLE_BINS], D::Error> {
-        let rows = Rows::deserialize(deserializer)?;
-        let mut bins = [0.0; MAX_CYCLE_BINS];
-        bins.copy_from_slice(rows.as_flattened());
-        Ok(bins)
     }
 }
 

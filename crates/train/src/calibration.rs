@@ -8,7 +8,7 @@ use seepd_sim::MachineSpec;
 use crate::conformal::{self, Prediction};
 use crate::dataset::{self, Observation, Reading};
 use crate::forest::Forest;
-use crate::portions::Portions;
+use crate::portions::{Portions, Row};
 use crate::train::{Case, Features, TrainError, TrainingSettings};
 use crate::{out_of_distribution, relative, report};
 
@@ -52,7 +52,7 @@ impl CalibrationSets {
                 report::read_at_each_noise(reading, settings, (observation, commands), settings.filter)
             };
             dataset::in_portions((name, &mut *portions), observations, statistics, |read| {
-                all.push(read.map(|level| level.as_ref().map(&of)));
+                all.push(read.map(|level| level.as_ref().and_then(Row::statistics).as_ref().map(&of)));
             })?;
             Ok::<_, TrainError>(all)
         };

@@ -8,6 +8,7 @@
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 
+use seepd_features::statistics::CycleStatistics;
 use seepd_sim::MachineSpec;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -64,7 +65,11 @@ impl Portions {
         settings: &TrainingSettings,
         share: &[u8],
     ) -> Result<(), TrainError> {
-        let share: Stored = postcard::from_bytes(share).map_err(|_| TrainError::NotAShare)?;
+        let (content, digest) = share.split_last_chunk::<32>().ok_or(TrainError::NotAShare)?;
+        if Sha256::digest(content).as_slice() != digest {
+            return Err(TrainError::NotAShare);
+        }
+        let share: Stored = postcard::from_bytes(content).map_err(|_| TrainError::NotAShare)?;
         let training = training_of(spec, settings)?;
         if share.training != training {
             return Err(TrainError::ForeignShare);
@@ -84,7 +89,10 @@ impl Portions {
     }
 
     pub(crate) fn into_bytes(self) -> Result<Vec<u8>, TrainError> {
-        Ok(postcard::to_stdvec(&self.stored)?)
+        let mut bytes = postcard::to_stdvec(&self.stored)?;
+        let digest = Sha256::digest(&bytes);
+        bytes.extend_from_slice(&digest);
+        Ok(bytes)
     }
 
     /// What a portion came to: from a share, or from `simulate`; `None` where it is another share's to simulate.
@@ -117,6 +125,26 @@ fn training_of(spec: &MachineSpec, settings: &TrainingSettings) -> Result<String
     digest.update(spec.to_toml()?);
     digest.update(format!("{settings:?}"));
     Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// A cycle's statistics on their way between machines.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct Row(Vec<f64>);
+
+impl From<CycleStatistics> for Row {
+    fn from(statistics: CycleStatistics) -> Self {
+        let mut numbers = Vec::new();
+        statistics.each_number(&mut |number| numbers.push(number));
+        Row(numbers)
+    }
+}
+
+impl Row {
+    /// `None` for a row that was damaged on its way.
+    pub(crate) fn statistics(&self) -> Option<CycleStatistics> {
+        let mut numbers = self.0.iter();
+        CycleStatistics::from_numbers(&mut || numbers.next().copied())
+    }
 }
 
 #[cfg(test)]
@@ -153,8 +181,11 @@ mod tests {
         let (spec, settings) = (MachineSpec::default(), TrainingSettings::default());
         let share =
             Portions::only(&spec, &settings, Share::new(1, 1).unwrap()).unwrap().into_bytes().unwrap();
-        let other = TrainingSettings { seed: 2, ..settings };
+        let other = TrainingSettings { seed: 2, ..settings.clone() };
         assert!(matches!(Portions::default().add(&spec, &other, &share), Err(TrainError::ForeignShare)));
+        let mut damaged = share;
+        damaged[3] ^= 1;
+        assert!(matches!(Portions::default().add(&spec, &settings, &damaged), Err(TrainError::NotAShare)));
         assert!(matches!(Portions::default().add(&spec, &other, b"junk"), Err(TrainError::NotAShare)));
     }
 }

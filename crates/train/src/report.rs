@@ -11,7 +11,7 @@ use serde::Serialize;
 use crate::dataset::{self, Observation, Reading};
 use crate::forest::{Forest, ForestParams, predict};
 use crate::leak_range::LeakRange;
-use crate::portions::Portions;
+use crate::portions::{Portions, Row};
 use crate::train::{ARTICLE_NOISE, Case, Features, TrainError, TrainingSettings, grow_like, noise_of};
 
 /// Standard deviations of the command's noise in the article's figures 8 and 9.
@@ -96,13 +96,15 @@ pub(crate) fn read<R>(
     portions: &mut Portions,
     of: impl Fn(&CycleStatistics) -> R,
 ) -> Result<Vec<Readings<R>>, TrainError> {
-    let statistics = |observation: &Observation, commands: &[f64]| -> Readings<CycleStatistics> {
+    let statistics = |observation: &Observation, commands: &[f64]| -> Readings<Row> {
         let read = |filter| read_at_each_noise(reading, settings, (observation, commands), filter);
         [read(settings.filter), if settings.noise_table { read(None) } else { Default::default() }]
     };
     let mut all = Vec::with_capacity(observations.len());
     dataset::in_portions(("held out", portions), observations, statistics, |read| {
-        all.push(read.map(|filtered| filtered.map(|level| level.as_ref().map(&of))));
+        all.push(read.map(|filtered| {
+            filtered.map(|level| level.as_ref().and_then(Row::statistics).as_ref().map(&of))
+        }));
     })?;
     Ok(all)
 }
@@ -124,9 +126,9 @@ pub(crate) fn read_at_each_noise(
     settings: &TrainingSettings,
     (observation, commands): (&Observation, &[f64]),
     filter: Option<Kalman>,
-) -> AtEachNoise<CycleStatistics> {
+) -> AtEachNoise<Row> {
     let unit = dataset::unit_noise(&mut noise_of(observation, settings), commands.len());
-    NOISE_LEVELS.map(|sigma| reading.read(commands, filter, sigma, &unit))
+    NOISE_LEVELS.map(|sigma| reading.read(commands, filter, sigma, &unit).map(Row::from))
 }
 
 fn accuracy(subject: &Subject<'_>, readings: &[Readings<Read>], level: usize) -> Accuracy {

@@ -9,7 +9,6 @@ use seepd_model::schema::{
 use seepd_model::{Model, ModelError};
 use seepd_sim::noise::Noise;
 use seepd_sim::{MachineSpec, SpecError};
-use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::calibration::{self, CalibrationSets};
@@ -19,7 +18,7 @@ use crate::duty;
 use crate::forest::{Forest, ForestParams, Table};
 use crate::leak_range::LeakRange;
 use crate::pca;
-use crate::portions::{Portions, Share};
+use crate::portions::{Portions, Row, Share};
 use crate::relative::{self, Conditions, RelativeReport};
 use crate::report::{self, Report};
 use crate::search::{self, BestForest};
@@ -139,7 +138,7 @@ pub enum TrainError {
     #[error("the trained model fails its own checks: {0}")]
     Model(ModelError),
     /// A file that should hold a share of the simulation holds something else.
-    #[error("it is not a share of a training's simulation")]
+    #[error("it is no share of a training's simulation, or a damaged one")]
     NotAShare,
     /// A share of the simulation is another training's.
     #[error("it is a share of another training: plant, settings or the program's version differ")]
@@ -394,7 +393,6 @@ pub fn plant_sha256(spec: &MachineSpec) -> Result<String, TrainError> {
 }
 
 /// A simulated machine's cycle as it was read.
-#[derive(Serialize, Deserialize)]
 pub(crate) struct Case {
     pub(crate) leak_area_m2: f64,
     /// With a noise drawn from the training's range, filtered.
@@ -403,6 +401,13 @@ pub(crate) struct Case {
     pub(crate) quiet: [Option<CycleStatistics>; 2],
     /// With the largest noise of the training's range, filtered.
     loud: Option<CycleStatistics>,
+}
+
+impl Case {
+    fn stored((leak_area_m2, rows): (f64, [Option<Row>; 4])) -> Option<Self> {
+        let [mixed, quiet, unfiltered, loud] = rows.map(|row| row.as_ref().and_then(Row::statistics));
+        Some(Case { leak_area_m2, mixed: mixed?, quiet: [quiet, unfiltered], loud })
+    }
 }
 
 /// The article's measurement noise.
@@ -446,12 +451,12 @@ fn learn_cases(
         let mixed = read(settings.filter, sigma)?;
         let quiet = read(settings.filter, ARTICLE_NOISE);
         let loud = read(settings.filter, settings.noise.1);
-        let unfiltered = settings.noise_table.then(|| read(None, ARTICLE_NOISE));
-        let quiet = [quiet, unfiltered.flatten()];
-        Some(Case { leak_area_m2: observation.leak_area_m2, mixed, quiet, loud })
+        let unfiltered = settings.noise_table.then(|| read(None, ARTICLE_NOISE)).flatten();
+        let rows = [Some(mixed), quiet, unfiltered, loud].map(|statistics| statistics.map(Row::from));
+        Some((observation.leak_area_m2, rows))
     };
     dataset::in_portions(("learned", portions), &observations, read, |case| {
-        cases.extend(case);
+        cases.extend(case.and_then(Case::stored));
         done += 1;
         tell(Stage::Simulate, done, observations.len());
     })?;
