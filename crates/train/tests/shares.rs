@@ -1,4 +1,5 @@
 //! A training whose machines are simulated elsewhere gives the same model, to the byte.
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use seepd_sim::MachineSpec;
 use seepd_train::train::Stage;
