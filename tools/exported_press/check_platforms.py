@@ -1,5 +1,5 @@
 """The library inside of exported FMUs on two platforms: does the press give the same bits on 64-bit ARM as on x86-64? Needs gcc, the cross
-compiler gcc-aarch64-linux-gnu and qemu-user.
+compiler gcc-aarch64-linux-gnu and qemu-user, and Python's mcap. Press and monitor get the command of a machine with a leak.
 
     cargo build --release -p seepd -p seepd-fmu-library
     rustup target add aarch64-unknown-linux-gnu
@@ -8,11 +8,14 @@ compiler gcc-aarch64-linux-gnu and qemu-user.
     python3 tools/exported_press/check_platforms.py
 """
 import argparse
+import json
 import subprocess
 import tempfile
 import zipfile
 import xml.etree.ElementTree as xml
 from pathlib import Path
+
+from mcap.reader import make_reader
 
 HERE = Path(__file__).parent
 PLATFORMS = {
@@ -20,7 +23,16 @@ PLATFORMS = {
     "aarch64-linux": ("aarch64-linux", "aarch64-linux-gnu-gcc", ["qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"],
                       "target/aarch64-unknown-linux-gnu/release/libseepd_fmu_library.so"),
 }
-STEPS, STEP_S = 20_000, 0.001
+STEP_S = 0.001
+
+
+def command(seepd, folder):
+    """Four cycles of a valve command, a number a line."""
+    log = folder / "leak.mcap"
+    subprocess.run([seepd, "simulate", "--out", log, "--cycles", "4", "--leak-area", "2e-7", "--no-truth"], check=True)
+    with open(log, "rb") as file:
+        messages = (json.loads(message.data) for _, _, message in make_reader(file).iter_messages())
+        return "\n".join(repr(message["command"]) for message in messages)
 
 
 def main():
@@ -29,6 +41,7 @@ def main():
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
+        course = command(arguments.seepd, folder)
         for name, options in [("press", []), ("monitor", ["--monitor"])]:
             libraries = [word for platform, (*_, file) in PLATFORMS.items() for word in ("--library", f"{platform}={file}")]
             fmu = folder / f"{name}.fmu"
@@ -47,8 +60,8 @@ def main():
                 subprocess.run([compiler, "-O1", HERE / "steps.c", "-o", program, "-ldl"], check=True)
                 library = next((unpacked / "binaries" / place).iterdir())
                 order = [*runner, program, library, f"file://{unpacked / 'resources'}", description.get("guid"),
-                         str(STEPS), str(STEP_S), *ports]
-                told[platform] = subprocess.run(order, check=True, capture_output=True, text=True).stdout
+                         str(STEP_S), *ports]
+                told[platform] = subprocess.run(order, input=course, check=True, capture_output=True, text=True).stdout
             lines = [told[platform].splitlines() for platform in PLATFORMS]
             apart = sum(one != other for one, other in zip(*lines, strict=True))
             values = len({line for line in lines[0]})

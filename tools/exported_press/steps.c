@@ -1,7 +1,7 @@
 /* Steps a co-simulation FMU 2.0 and prints its outputs' bits: what check_platforms.py runs on each platform.
 
-   steps LIBRARY RESOURCES TOKEN STEPS STEP_S i:REFERENCE... o:REFERENCE...
-   An input (i:4) is driven by a triangle within 0.2, an output (o:7) is printed after each step. */
+   steps LIBRARY RESOURCES TOKEN STEP_S i:REFERENCE... o:REFERENCE... < COURSE
+   An input (i:4) follows the course, a number a line, an output (o:7) is printed after each step. */
 #include <dlfcn.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -34,7 +34,7 @@ static void check(int status, const char *what) {
 }
 
 int main(int count, char **words) {
-    if (count < 7) return 64;
+    if (count < 6) return 64;
     library = dlopen(words[1], RTLD_NOW);
     if (!library) {
         fprintf(stderr, "%s\n", dlerror());
@@ -48,18 +48,15 @@ int main(int count, char **words) {
     SetReal set = (SetReal)function("fmi2SetReal");
     GetReal get = (GetReal)function("fmi2GetReal");
     DoStep step = (DoStep)function("fmi2DoStep");
-    int steps = atoi(words[4]);
-    double step_s = atof(words[5]);
-    for (int number = 0; number < steps; number++) {
-        /* Of exact arithmetic alone, so that every platform drives the same. */
-        int phase = number % 2000;
-        double course = (phase < 1000 ? phase - 500 : 1500 - phase) / 2500.0;
-        for (int word = 6; word < count; word++) {
+    double step_s = atof(words[4]);
+    double course;
+    for (int number = 0; scanf("%lf", &course) == 1; number++) {
+        for (int word = 5; word < count; word++) {
             uint32_t reference = (uint32_t)atol(words[word] + 2);
             if (words[word][0] == 'i') check(set(instance, &reference, 1, &course), "set");
         }
         check(step(instance, number * step_s, step_s, 1), "step");
-        for (int word = 6; word < count; word++) {
+        for (int word = 5; word < count; word++) {
             uint32_t reference = (uint32_t)atol(words[word] + 2);
             if (words[word][0] != 'o') continue;
             double value;
