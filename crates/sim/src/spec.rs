@@ -18,6 +18,8 @@ const ABSURD_STEPS: usize = 1_000_000;
 /// Keys of the controller's table that say nothing where there is none.
 const OF_A_CONTROLLER: [&str; 5] =
     ["kp", "ki", "kd", "velocity_feed_forward_s_per_m", "dead_band_compensation"];
+/// Share by which a value may be beyond its bound and be meant as at it.
+const SAME_BOUND: f64 = 1e-9;
 /// Most steps in a period that are taken unasked.
 const MOST_STEPS: usize = 100;
 
@@ -276,7 +278,9 @@ impl MachineSpec {
             in_range(format!("bounds.{name}"), *low, info.minimum, f64::MAX)?;
             in_range(format!("bounds.{name}"), *high, *low, f64::MAX)?;
             let value = self.plant.get(info.key).unwrap_or(f64::NAN);
-            in_range(format!("plant.{}", info.key), value, *low, *high)?;
+            // A fit that ends at a bound comes back from its logarithm with a last bit more.
+            let (low, high) = (low - low.abs() * SAME_BOUND, high + high.abs() * SAME_BOUND);
+            in_range(format!("plant.{}", info.key), value, low, high)?;
         }
         Ok(())
     }
