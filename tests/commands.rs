@@ -18,7 +18,11 @@ fn demo_leaves_a_log_and_a_self_contained_page_and_tells_when_flags_rose() {
     let error: f64 = text.split("threshold: ").last().unwrap().split(' ').next().unwrap().parse().unwrap();
     assert!(error < 4.0, "{text}");
     let page = fs::read_to_string(folder.path().join("demo.html")).unwrap();
-    assert_eq!(page.matches("<svg").count(), 3);
+    // Each chart once for desk and paper, once for a phone.
+    assert_eq!(
+        ["wide", "narrow"].map(|kind| page.matches(&format!("<svg class=\"{kind}\"")).count()),
+        [3, 3]
+    );
     assert!(page.contains("prefers-color-scheme:dark") && page.contains("@media print"));
     for outside in ["http:", "https:", "src=", "@import", "url("] {
         assert!(!page.contains(outside), "{outside}");
