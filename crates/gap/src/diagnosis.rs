@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use seepd_signals::Signal;
+use seepd_sim::SensorError;
 use seepd_sim::effects::EffectInfo;
 use seepd_sim::learned::Site;
 use seepd_sim::real::LANES;
@@ -23,7 +24,7 @@ use crate::search::{Explanation, SearchResult, search};
 use crate::shrink::{HeldOut, attributed};
 use crate::simulate::{BinnedSignals, Drive, binned_signals, bins_of};
 use crate::simulated_axis::SimulatedAxis;
-use crate::transducers::SensorError;
+use crate::transducers;
 
 /// What a diagnosis is asked for.
 #[derive(Debug, Clone, PartialEq)]
@@ -619,7 +620,9 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             notes.push("the learned law is a flow past the piston: the leak is what it and the leak area pass together".into());
         }
         for (signal, error) in self.record.signals.iter().zip(errors) {
-            let Some(error) = error.filter(|error| error.of_its_class(*signal) > BEYOND_ITS_CLASS) else {
+            let Some(error) =
+                error.filter(|error| transducers::of_its_class(*error, *signal) > BEYOND_ITS_CLASS)
+            else {
                 continue;
             };
             notes.push(format!(

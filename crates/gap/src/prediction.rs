@@ -64,7 +64,7 @@ pub fn rms(a: &[f64], b: &[f64], moves: &[bool]) -> Option<f64> {
     (count > 0.0).then(|| f64::sqrt(sum / count))
 }
 
-/// Simulates a run's command from where the run begins.
+/// Simulates a run's command from where the run begins, and shows pressures as the machine's transducers do.
 ///
 /// # Errors
 /// [`RecordError`] for what is wrong with the run.
@@ -91,10 +91,15 @@ pub fn predict(run: &Run, machine: &MachineSpec) -> Result<Prediction, RecordErr
             leak_area_m2: 0.0,
         })
         .collect();
+    let sensor = |signal: Signal| machine.sensors.get(signal.name());
+    let begins = |signal: Signal| {
+        let shown = run.begins(signal, tick_s)?;
+        Some(sensor(signal).map_or(shown, |error| error.there(shown)))
+    };
     let start = RunStart {
-        position_m: run.begins(Signal::Position, tick_s).unwrap_or(0.0),
-        p_cap_pa: run.begins(Signal::PCap, tick_s),
-        p_rod_pa: run.begins(Signal::PRod, tick_s),
+        position_m: begins(Signal::Position).unwrap_or(0.0),
+        p_cap_pa: begins(Signal::PCap),
+        p_rod_pa: begins(Signal::PRod),
     };
     let shown: Vec<Signal> =
         machine.signals().into_iter().filter(|signal| *signal != Signal::Command).collect();
@@ -105,7 +110,10 @@ pub fn predict(run: &Run, machine: &MachineSpec) -> Result<Prediction, RecordErr
         }
     });
     let mut signals = Vec::new();
-    for (signal, simulated) in shown.iter().zip(simulated) {
+    for (signal, mut simulated) in shown.iter().zip(simulated) {
+        if let Some(error) = sensor(*signal) {
+            simulated.iter_mut().for_each(|value| *value = error.shown(*value));
+        }
         let recorded = recorded(*signal);
         let speed = (*signal == Signal::Position).then(|| PredictedSignal {
             name: "speed",

@@ -1,11 +1,11 @@
 //! A log, aligned with the duty cycle and cut into cycles.
 
 use seepd_signals::Signal;
+use seepd_sim::SensorError;
 use seepd_sim::cycle::DriveSample;
 
 use crate::simulate::{Drive, bins_of};
 use crate::simulated_axis::SimulatedAxis;
-use crate::transducers::SensorError;
 
 /// RMS difference from the median cycle, over the signal's range, above which a cycle is of another kind.
 pub(crate) const ANOTHER_KIND: f64 = 0.1;

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use seepd_sim::SensorError;
 use serde::Serialize;
 
 use crate::course::ChangeKind;
 use crate::next_test::NextTest;
 use crate::simulate::BinnedSignals;
-use crate::transducers::SensorError;
 
 /// `seepd.gap/1`.
 #[derive(Debug, Clone, Serialize)]

@@ -3,13 +3,14 @@
 use std::rc::Rc;
 
 use seepd_signals::Signal;
+use seepd_sim::SensorError;
 
 use crate::fit::{Fit, INDEPENDENT, MODEL_ERROR, Problem};
 use crate::record::Record;
 use crate::search::Explanation;
 use crate::simulate::{BinnedSignals, Drive, binned_signals};
 use crate::simulated_axis::SimulatedAxis;
-use crate::transducers::{SensorError, most_likely};
+use crate::transducers::most_likely;
 
 /// Signals whose nominal gap exceeds this many floors count in the shrink.
 const FLOORS: f64 = 1.5;

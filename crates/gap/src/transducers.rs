@@ -5,6 +5,7 @@
 //! Statistical Society B 63 (2001), for a discrepancy of known form).
 
 use seepd_signals::Signal;
+use seepd_sim::SensorError;
 
 /// What a class of sensors leaves open, one standard deviation.
 #[derive(Debug, Clone, Copy)]
@@ -23,25 +24,9 @@ fn class_of(signal: Signal) -> Option<Class> {
     matches!(signal, Signal::PSupply | Signal::PInlet | Signal::PCap | Signal::PRod).then_some(PRESSURE)
 }
 
-/// How far a sensor is off.
-#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-pub struct SensorError {
-    /// Shown over true, less 1.
-    pub gain: f64,
-    /// Shown at 0, SI.
-    pub zero: f64,
-}
-
-impl SensorError {
-    /// What was there when this was shown.
-    pub(crate) fn there(self, shown: f64) -> f64 {
-        (shown - self.zero) / (1.0 + self.gain)
-    }
-
-    /// How many standard deviations of its class it is off by.
-    pub(crate) fn of_its_class(self, signal: Signal) -> f64 {
-        class_of(signal).map_or(0.0, |class| (self.gain / class.gain).hypot(self.zero / class.zero))
-    }
+/// How many standard deviations of its class a signal's sensor is off by.
+pub(crate) fn of_its_class(error: SensorError, signal: Signal) -> f64 {
+    class_of(signal).map_or(0.0, |class| (error.gain / class.gain).hypot(error.zero / class.zero))
 }
 
 /// What a signal's sensor may add to weighted differences: two shapes of length 1, and how much of each is taken off.

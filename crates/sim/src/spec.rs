@@ -11,6 +11,7 @@ use crate::effects::{self, Constants, Effect};
 use crate::learned;
 use crate::plant::{Plant, PlantParameters, RK4_STABILITY_LIMIT};
 use crate::real::Real;
+use crate::sensor::{self, SensorError};
 use crate::size::Size;
 
 /// A plant that asks for more steps in a period has a number that is decades off.
@@ -38,6 +39,9 @@ pub struct MachineSpec {
     /// Least and largest value of plant parameters that a diagnosis may calibrate, by key or symbol; absent: its own bounds.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub bounds: BTreeMap<String, [f64; 2]>,
+    /// How far the pressure transducers are off in the logs that the machine was fitted to, by signal: predictions show what they show.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub sensors: BTreeMap<String, SensorError>,
 }
 
 /// Why a plant file is refused.
@@ -260,6 +264,7 @@ impl MachineSpec {
             }
         }
         self.check_bounds()?;
+        self.check_sensors()?;
         self.check_controller()?;
         if !self.controller.is_none() {
             self.check_cycle()?;
@@ -281,6 +286,17 @@ impl MachineSpec {
             // A fit that ends at a bound comes back from its logarithm with a last bit more.
             let (low, high) = (low - low.abs() * SAME_BOUND, high + high.abs() * SAME_BOUND);
             in_range(format!("plant.{}", info.key), value, low, high)?;
+        }
+        Ok(())
+    }
+
+    fn check_sensors(&self) -> Result<(), SpecError> {
+        for (name, error) in &self.sensors {
+            if !sensor::WITH_ERRORS.contains(&name.as_str()) {
+                return Err(unknown_name("sensors".into(), name, &sensor::WITH_ERRORS));
+            }
+            in_range(format!("sensors.{name}.gain"), error.gain, -0.5, 0.5)?;
+            in_range(format!("sensors.{name}.zero"), error.zero, -1e8, 1e8)?;
         }
         Ok(())
     }

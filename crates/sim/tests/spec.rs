@@ -91,3 +91,21 @@ fn a_machine_without_a_controller_has_no_gains_and_no_duty_cycle() {
     assert_eq!(MachineSpec::from_toml(&text).unwrap(), spec);
     assert!(refusal("[controller]\nkind = \"non\"\n").contains("none"));
 }
+
+/// What a diagnosis found of transducers is kept in the plant file; a machine whose sensors show what is there writes nothing of them.
+#[test]
+fn errors_of_sensors_are_kept() {
+    let text = "[sensors.p_cap]\ngain = -0.006\nzero = -58697.6\n";
+    let spec = MachineSpec::from_toml(text).unwrap();
+    assert!((spec.sensors["p_cap"].shown(1e6) - (0.994e6 - 58_697.6)).abs() < 1e-6);
+    assert_eq!(MachineSpec::from_toml(&spec.to_toml().unwrap()).unwrap(), spec);
+    assert!(!MachineSpec::default().to_toml().unwrap().contains("sensors"));
+    for (wrong, told) in [
+        ("[sensors.position]\ngain = 0.0\nzero = 0.0\n", "position"),
+        ("[sensors.p_cap]\ngain = 0.9\nzero = 0.0\n", "sensors.p_cap.gain"),
+        ("[sensors.p_cap]\ngain = 0.0\n", "zero"),
+    ] {
+        let error = MachineSpec::from_toml(wrong).unwrap_err().to_string();
+        assert!(error.contains(told), "{error}");
+    }
+}

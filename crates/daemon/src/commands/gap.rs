@@ -1,5 +1,6 @@
 //! `seepd gap`: where simulator and machine differ, and which effect explains it.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -13,7 +14,7 @@ use seepd_settings::UnknownKey;
 use seepd_settings::side_file;
 use seepd_signals::Signal;
 use seepd_sim::electric::ElectricAxis;
-use seepd_sim::{DutyCycle, MachineSpec, PlantParameters};
+use seepd_sim::{DutyCycle, MachineSpec, PlantParameters, SensorError};
 use seepd_simulator::{ParameterSet, SimulatorAxis};
 
 use super::blind::BlindArguments;
@@ -272,7 +273,8 @@ fn diagnosed_on<A: PlantFile>(
     diagnosis.notes.extend(spec.notes());
     let test_files = next_test::files(&machine, diagnosis.next_test.as_ref());
     // Runs are foretold by the machine as it is.
-    let machine = if machine.is_open_loop() { machine } else { as_new(machine) };
+    let machine =
+        if machine.is_open_loop() { machine.with_sensors(&diagnosis.sensors) } else { as_new(machine) };
     let parameter_set = machine.parameter_set();
     diagnosis.notes.extend(parameter_set.additions.iter().cloned());
     Ok(Diagnosed { diagnosis, plant_file: text_of(&machine), parameter_set, test_files, plant: None })
@@ -359,6 +361,10 @@ pub(super) trait PlantFile: SimulatedAxis {
     fn with_cycle(&self, _cycle: &DutyCycle) -> Option<Self> {
         None
     }
+    /// The same axis with transducers that are off by so much, if its plant file can say so.
+    fn with_sensors(self, _sensors: &BTreeMap<&'static str, SensorError>) -> Self {
+        self
+    }
     /// Its values by the names that its FMU has.
     fn parameter_set(&self) -> ParameterSet;
     /// What there is to say of it after a diagnosis.
@@ -370,6 +376,11 @@ pub(super) trait PlantFile: SimulatedAxis {
 impl PlantFile for MachineSpec {
     fn with_cycle(&self, cycle: &DutyCycle) -> Option<Self> {
         Some(MachineSpec { cycle: cycle.clone(), ..self.clone() })
+    }
+
+    fn with_sensors(self, sensors: &BTreeMap<&'static str, SensorError>) -> Self {
+        let sensors = sensors.iter().map(|(signal, error)| ((*signal).to_owned(), *error)).collect();
+        MachineSpec { sensors, ..self }
     }
 
     fn text(&self) -> Result<String, String> {
