@@ -219,7 +219,7 @@ def simulate(
 
 
 def gap(
-    log: PathLike,
+    log: PathLike | Iterable[PathLike],
     plant: PathLike | None = None,
     config: PathLike | None = None,
     *,
@@ -230,7 +230,7 @@ def gap(
     dbc: PathLike | None = None,
     command: str | None = None,
 ) -> Diagnosis:
-    """Where simulator and machine differ, and which effect explains it."""
+    """Where simulator and machine differ, and which effect explains it. Several logs are the runs of one machine without a controller."""
     options = {
         "plant": plant,
         "config": config,
@@ -241,7 +241,7 @@ def gap(
         "dbc": dbc,
         "command": command,
     }
-    told, notes = _core.diagnose(words(options, [os.fspath(log)]))
+    told, notes = _core.diagnose(words(options, paths(log)))
     _warn(notes)
     return Diagnosis(told)
 
