@@ -7,7 +7,7 @@ use std::process::Command;
 
 use crate::support::{fixture, python, seepd, simulate, stderr, stdout};
 use seepd_sim::MachineSpec;
-use seepd_sim::cycle::DriveSample;
+use seepd_sim::cycle::{DriveSample, Schedule};
 use seepd_sim::electric::ElectricAxis;
 use seepd_sim::machine::{Input, Machine};
 use serde_json::Value;
@@ -136,21 +136,8 @@ fn reference_fmpy_simulates_the_electric_axis_to_our_numbers() {
     let fmu = export(folder.path(), "axis.fmu", &arguments);
     let mut axis = ElectricAxis::from_toml(AXIS).unwrap();
     axis.effects = [("coulomb_friction".into(), [("force_n".into(), 20.5)].into())].into();
-    let drive: Vec<DriveSample> = (0..=TICKS)
-        .map(|tick| {
-            let at_s = tick as f64 * 1e-3;
-            let demand_m = axis.cycle.demand_m(at_s);
-            DriveSample {
-                run: 0,
-                at_s,
-                demand_m,
-                command: 0.0,
-                load_n: 0.0,
-                load_end_n: 0.0,
-                leak_area_m2: 0.0,
-            }
-        })
-        .collect();
+    let schedule = Schedule::new(&axis.cycle, axis.controller.period_s, Vec::new());
+    let drive: Vec<DriveSample> = schedule.take(TICKS + 1).collect();
     let mut ours = Vec::new();
     axis.follow(&drive, |_, signals| ours.push(signals.position_m));
     let mut inputs = String::from("time,demand,load\n");

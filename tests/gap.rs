@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use seepd_logs::LogMapping;
 use seepd_signals::Signal;
-use seepd_sim::cycle::DriveSample;
+use seepd_sim::cycle::{DriveSample, Schedule};
 use seepd_sim::electric::ElectricAxis;
 use serde_json::Value;
 
@@ -412,21 +412,8 @@ fn an_electric_axis_is_diagnosed_by_its_own_plant_file() {
     let mut axis = ElectricAxis::from_toml(&fs::read_to_string(&plant).unwrap()).unwrap();
     axis.effects.entry("coulomb_friction".into()).or_default().insert("force_n".into(), 20.4);
     let ticks = (axis.cycle.period_s / axis.controller.period_s).round() as usize;
-    let drive: Vec<DriveSample> = (0..4 * ticks)
-        .map(|tick| {
-            let at_s = (tick % ticks) as f64 * axis.controller.period_s;
-            let demand_m = axis.cycle.demand_m(at_s);
-            DriveSample {
-                run: 0,
-                at_s,
-                demand_m,
-                command: 0.0,
-                load_n: 0.0,
-                load_end_n: 0.0,
-                leak_area_m2: 0.0,
-            }
-        })
-        .collect();
+    let schedule = Schedule::new(&axis.cycle, axis.controller.period_s, Vec::new());
+    let drive: Vec<DriveSample> = schedule.take(4 * ticks).collect();
     let mut text = String::from("t_s;volts;reference;measured\n");
     axis.follow(&drive, |tick, record| {
         let volts = 10.0 * record.command;

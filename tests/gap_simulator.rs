@@ -9,7 +9,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use crate::support::{fixture, seepd, stderr, stdout};
-use seepd_sim::cycle::DriveSample;
+use seepd_sim::cycle::{DriveSample, Schedule};
 use seepd_sim::electric::ElectricAxis;
 use serde_json::Value;
 
@@ -46,21 +46,8 @@ fn log(folder: &Path, friction_n: f64) -> PathBuf {
     axis.plant.mass_kg *= 1.04;
     axis.effects.entry("coulomb_friction".into()).or_default().insert("force_n".into(), friction_n);
     let ticks = (axis.cycle.period_s / axis.controller.period_s).round() as usize;
-    let drive: Vec<DriveSample> = (0..4 * ticks)
-        .map(|tick| {
-            let at_s = (tick % ticks) as f64 * axis.controller.period_s;
-            let demand_m = axis.cycle.demand_m(at_s);
-            DriveSample {
-                run: 0,
-                at_s,
-                demand_m,
-                command: 0.0,
-                load_n: 0.0,
-                load_end_n: 0.0,
-                leak_area_m2: 0.0,
-            }
-        })
-        .collect();
+    let schedule = Schedule::new(&axis.cycle, axis.controller.period_s, Vec::new());
+    let drive: Vec<DriveSample> = schedule.take(4 * ticks).collect();
     let mut text = String::from("t_s,command,demand,position\n");
     axis.follow(&drive, |tick, record| {
         let time_s = tick as f64 * 1e-3;

@@ -4,7 +4,7 @@
 use seepd_gap::report::{Diagnosis, Verdict};
 use seepd_gap::{DiagnosisSettings, Log, Mismatch, Record, RecordError, diagnose};
 use seepd_signals::Signal;
-use seepd_sim::cycle::DriveSample;
+use seepd_sim::cycle::{DriveSample, Schedule};
 use seepd_sim::electric::ElectricAxis;
 use seepd_sim::noise::Noise;
 
@@ -15,21 +15,8 @@ fn plan() -> ElectricAxis {
 /// What such an axis logs: noise of 1e-3 of full command, 5e-8 m of position.
 fn log_of(axis: &ElectricAxis, cycles: usize) -> Log {
     let ticks = (axis.cycle.period_s / axis.controller.period_s).round() as usize;
-    let drive: Vec<DriveSample> = (0..ticks * (cycles + 1))
-        .map(|tick| {
-            let at_s = (tick % ticks) as f64 * axis.controller.period_s;
-            let demand_m = axis.cycle.demand_m(at_s);
-            DriveSample {
-                run: tick / ticks,
-                at_s,
-                demand_m,
-                command: 0.0,
-                load_n: 0.0,
-                load_end_n: 0.0,
-                leak_area_m2: 0.0,
-            }
-        })
-        .collect();
+    let schedule = Schedule::new(&axis.cycle, axis.controller.period_s, Vec::new());
+    let drive: Vec<DriveSample> = schedule.take(ticks * (cycles + 1)).collect();
     let mut noise = Noise::new(1, 5);
     let mut log = Log::default();
     axis.follow(&drive, |tick, record| {
