@@ -68,7 +68,7 @@ impl SimulatedAxis for MachineSpec {
     }
 
     fn learnable(&self) -> &'static [&'static LearnedLaw] {
-        if self.is_open_loop() { &learned::OPEN_LOOP } else { &learned::ALL }
+        if self.is_open_loop() { learned::of_open_loop() } else { &learned::ALL }
     }
 
     /// Some percent of what the machine's own forces and flows are.

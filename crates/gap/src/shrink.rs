@@ -35,10 +35,9 @@ impl HeldOut<'_> {
                     .iter()
                     .enumerate()
                     .map(|(signal, range)| {
-                        let error = errors[signal].unwrap_or(SensorError { gain: 0.0, zero: 0.0 });
-                        let shown = |there: f64| there * (1.0 + error.gain) + error.zero;
+                        let error = errors[signal].unwrap_or_default();
                         let pairs = self.values(&simulated, machine, signal);
-                        let squares = pairs.map(|(recorded, there)| (recorded - shown(there)).powi(2));
+                        let squares = pairs.map(|(recorded, there)| (recorded - error.shown(there)).powi(2));
                         let (square, count) =
                             squares.fold((0.0, 0), |(sum, n), square| (sum + square, n + 1));
                         (square / f64::from(count)).sqrt() / range

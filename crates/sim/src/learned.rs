@@ -5,6 +5,8 @@
 //! ends. `seepd gap` learns it from a log; in a plant file it is a table `[effects.learned_…]` like any effect, which `simulate`, `train` and
 //! `gap` know. With all values at 0 it changes no bit.
 
+use std::sync::LazyLock;
+
 use crate::effects::direction;
 use crate::effects::{
     Constants, Effect, EffectInfo, Equation, Law, Moment, Openings, Parameter, Sensing, Substep, Terms,
@@ -331,21 +333,13 @@ pub static ALL: [&LearnedLaw; 16] = [
 ];
 
 /// Those of a machine without a controller: nothing acts on its error, and its runs have no time in common.
-pub static OPEN_LOOP: [&LearnedLaw; 13] = [
-    &SPOOL_OVER_COMMAND,
-    &ROD_PORT_OVER_COMMAND,
-    &FORCE_OVER_SPEED,
-    &FORCE_OVER_POSITION,
-    &FRICTION_OVER_POSITION,
-    &FRICTION_OVER_PRESSURE,
-    &SEAL_OVER_PRESSURE,
-    &SEAL_OVER_POSITION,
-    &CAP_FLOW_OVER_PRESSURE,
-    &ROD_FLOW_OVER_PRESSURE,
-    &SUPPLY_OVER_PRESSURE,
-    &SENSOR_OVER_POSITION,
-    &SENSOR_OVER_SPEED,
-];
+pub fn of_open_loop() -> &'static [&'static LearnedLaw] {
+    static OPEN_LOOP: LazyLock<Vec<&LearnedLaw>> = LazyLock::new(|| {
+        let acts = |law: &&LearnedLaw| law.site != Site::Controller && law.argument != Argument::Time;
+        ALL.into_iter().filter(acts).collect()
+    });
+    &OPEN_LOOP
+}
 
 /// The law of that key.
 pub fn find(key: &str) -> Option<&'static LearnedLaw> {

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 pub(crate) const WITH_ERRORS: [&str; 4] = ["p_supply", "p_inlet", "p_cap", "p_rod"];
 
 /// How far a sensor is off.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SensorError {
     /// Shown over true, less 1.
