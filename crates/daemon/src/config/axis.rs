@@ -1,6 +1,7 @@
 //! An axis: where its signals are, which model, when to raise an alarm.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -115,9 +116,25 @@ impl EnergyConfig {
         Ok(())
     }
 
-    /// What that many kWh cost, rounded to whole units, with the currency; nothing without a price.
-    pub fn cost(&self, energy_kwh: f64) -> Option<String> {
-        self.price_per_kwh.map(|price| format!("{:.0} {}", price * energy_kwh, self.currency))
+    /// What that many kWh cost; nothing without a price.
+    pub fn cost(&self, energy_kwh: f64) -> Option<Money> {
+        let price = self.price_per_kwh?;
+        Some(Money { amount: price * energy_kwh, currency: self.currency.clone() })
+    }
+}
+
+/// An amount of money; people read it in whole units.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Money {
+    /// How much.
+    pub amount: f64,
+    /// Of what, as in the configuration.
+    pub currency: String,
+}
+
+impl fmt::Display for Money {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:.0} {}", self.amount, self.currency)
     }
 }
 

@@ -11,8 +11,8 @@ use serde::Deserialize;
 use crate::failure::Failure;
 
 pub use axis::{
-    AxisConfig, BaselineConfig, DutyCycleConfig, EnergyConfig, KindConfig, MonitorKind, Pace, SourceConfig,
-    embedded_model, load_model,
+    AxisConfig, BaselineConfig, DutyCycleConfig, EnergyConfig, KindConfig, Money, MonitorKind, Pace,
+    SourceConfig, embedded_model, load_model,
 };
 pub use sinks::{
     CanOutConfig, CanOutField, CanValue, HttpConfig, InfluxConfig, MqttConfig, MqttVersion, RecordingConfig,

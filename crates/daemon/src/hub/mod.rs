@@ -23,7 +23,7 @@ pub use publication::{Kind, Publication, Subscription};
 #[cfg(test)]
 pub(crate) use status::condition_for_tests;
 pub use status::{
-    Acknowledgement, AxisStatus, AxisView, BaselineStatus, DutyCycleStatus, LIVE_POINTS, Money, REPAIRS_TOLD,
+    Acknowledgement, AxisStatus, AxisView, BaselineStatus, DutyCycleStatus, LIVE_POINTS, REPAIRS_TOLD,
     RelativeStatus, SinkStatus, SourceHealth, SourceState, Thresholds, TrendPoint,
 };
 

@@ -14,6 +14,7 @@ use seepd_monitor::repair::Repaired;
 use serde::{Deserialize, Serialize};
 
 use super::course::{Course, HealthyCourse, PhaseSpan};
+use crate::config::Money;
 use crate::verdict::Verdict;
 
 /// Cycles whose course is kept for the dashboard.
@@ -175,15 +176,6 @@ impl Thresholds {
         let AlarmConfig { watch_lpm, leak_lpm, severe_lpm, .. } = *alarm;
         Thresholds { watch_lpm, leak_lpm, severe_lpm }
     }
-}
-
-/// An amount of money.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Money {
-    /// How much.
-    pub amount: f64,
-    /// Of what, as in the configuration.
-    pub currency: String,
 }
 
 /// Who took note of a latched flag.

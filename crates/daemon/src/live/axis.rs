@@ -26,7 +26,7 @@ use crate::clock::Clock;
 use crate::config::{AxisConfig, Pace};
 use crate::hub::{
     Acknowledgement, AxisStatus, BaselineStatus, Course, DutyCycleStatus, HealthyCourse, Hub, LIVE_POINTS,
-    Money, NewRepair, Order, PhaseSpan, REPAIRS_TOLD, RelativeStatus, Signature, SourceState, Thresholds,
+    NewRepair, Order, PhaseSpan, REPAIRS_TOLD, RelativeStatus, Signature, SourceState, Thresholds,
     TrendPoint,
 };
 use crate::sink::recording::Recorder;
@@ -555,11 +555,7 @@ impl<'a> AxisReporter<'a> {
         let acknowledgement = self.acknowledgement.clone();
         let (since_ns, t_sample_ns) = (self.since_ns, self.has_sample.then_some(self.sample_ns));
         let loss = estimate.map(|estimate| pipeline.config().loss(estimate.leak_flow_lpm));
-        let price = self.config.energy.price_per_kwh.zip(loss);
-        let leak_cost_per_year = price.map(|(price, loss)| Money {
-            amount: price * loss.leak_energy_kwh_per_year,
-            currency: self.config.energy.currency.clone(),
-        });
+        let leak_cost_per_year = loss.and_then(|loss| self.config.energy.cost(loss.leak_energy_kwh_per_year));
         let monitors = pipeline.monitors();
         let finding = pipeline.finding();
         let time_to_leak = self.time_to_leak.filter(|_| finding == CusumFinding::Leak);
