@@ -42,8 +42,13 @@ fn four_machines(folder: &Path, port: u16) -> String {
 fn run_into_alarm(folder: &Path) {
     let log = folder.join("alarm.mcap");
     simulate(&log, &["--cycles", "14", "--leak-area", "1e-7", "--leak-growth", "9e-7"]);
+    run_to_the_end(folder, "alarm", &log);
+}
+
+/// A daemon's run over a log, which leaves its state to the next one.
+fn run_to_the_end(folder: &Path, axis: &str, log: &Path) {
     let of_log = format!(
-        "axis = \"alarm\"\nstate_dir = \"state\"\n[source]\nlog = \"{}\"\npace = \"fast\"\n",
+        "axis = \"{axis}\"\nstate_dir = \"state\"\n[source]\nlog = \"{}\"\npace = \"fast\"\n",
         log.display()
     );
     assert!(Daemon::start(folder, &of_log).wait().success());
@@ -129,11 +134,7 @@ fn who_comes_in_the_morning_sees_the_night_and_who_has_taken_note() {
     let folder = tempfile::tempdir().unwrap();
     let log = folder.path().join("worn.mcap");
     simulate(&log, &["--cycles", "12", "--leak-area", "5e-8", "--leak-growth", "3e-7"]);
-    let of_log = format!(
-        "axis = \"press-1\"\nstate_dir = \"state\"\n[source]\nlog = \"{}\"\npace = \"fast\"\n",
-        log.display()
-    );
-    assert!(Daemon::start(folder.path(), &of_log).wait().success());
+    run_to_the_end(folder.path(), "press-1", &log);
     let (socket, port) = (folder.path().join("in.sock"), free_port());
     let live = format!(
         "axis = \"press-1\"\nstate_dir = \"state\"\n[alarm]\nwatch_lpm = 0.2\n{}[http]\nlisten = \"127.0.0.1:{port}\"\n",
@@ -181,11 +182,7 @@ fn the_healthy_cycle_is_the_mean_of_the_first_ones_and_outlives_the_daemon() {
     let folder = tempfile::tempdir().unwrap();
     let log = folder.path().join("healthy.mcap");
     simulate(&log, &["--cycles", "10"]);
-    let of_log = format!(
-        "axis = \"press-1\"\nstate_dir = \"state\"\n[source]\nlog = \"{}\"\npace = \"fast\"\n",
-        log.display()
-    );
-    assert!(Daemon::start(folder.path(), &of_log).wait().success());
+    run_to_the_end(folder.path(), "press-1", &log);
     let (socket, port) = (folder.path().join("in.sock"), free_port());
     let live = format!(
         "axis = \"press-1\"\nstate_dir = \"state\"\n{}[http]\nlisten = \"127.0.0.1:{port}\"\n",
