@@ -30,6 +30,7 @@ struct Places {
     reference: usize,
     load: usize,
     start_position: usize,
+    start_time: usize,
     leak: usize,
     command: Option<usize>,
     position: usize,
@@ -47,7 +48,8 @@ struct Running {
     /// Measured position at the end of the last step, m.
     seen: f64,
     delay_s: f64,
-    since_start_s: f64,
+    /// Time in the duty cycle, which is not brought back to 0 at a cycle's end, s.
+    time_s: f64,
 }
 
 /// The press.
@@ -90,11 +92,18 @@ impl PressEngine {
             (Some(0.0), Some(spec.plant.stroke_m)),
             "position at the start, at rest",
         );
+        let start_time = variables.parameter(
+            ("start_time", "s"),
+            0.0,
+            (Some(0.0), None),
+            "time in the duty cycle at the start, for effects that come at a time of it",
+        );
         let (leak, settings) = settings(&spec, placement, variables);
         let places = Places {
             reference,
             load,
             start_position,
+            start_time,
             leak,
             command,
             position,
@@ -196,7 +205,7 @@ impl Running {
             load,
             load_end: load,
             a_leak: values[places.leak].max(0.0),
-            at: self.since_start_s.rem_euclid(cycle_s),
+            at: self.time_s.rem_euclid(cycle_s),
         }
     }
 
@@ -221,11 +230,11 @@ impl Engine for PressEngine {
             load: values[self.places.load],
             load_end: values[self.places.load],
             a_leak: 0.0,
-            at: 0.0,
+            at: values[self.places.start_time].rem_euclid(self.spec.cycle.period_s),
         };
         let mut state = machine.start_at(&start);
         let seen = machine.sense(&mut state);
-        let running = Running { machine, state, seen, delay_s, since_start_s: 0.0 };
+        let running = Running { machine, state, seen, delay_s, time_s: start.at };
         running.show(&self.places, values);
         if let Some(command) = self.places.command {
             values[command] = 0.0;
@@ -253,7 +262,7 @@ impl Engine for PressEngine {
                 let command = input.demand.clamp(-1.0, 1.0);
                 running.machine.run_for(&mut running.state, command, &input, step_s);
                 running.seen = running.machine.sense_after(&mut running.state, step_s);
-                running.since_start_s += step_s;
+                running.time_s += step_s;
             }
             Placement::Inside => {
                 for _ in 0..periods_in(step_s, period_s)? {
@@ -261,7 +270,7 @@ impl Engine for PressEngine {
                     let command = running.machine.command(&mut running.state, input.demand, running.seen);
                     running.machine.run(&mut running.state, command, &input);
                     running.seen = running.machine.sense(&mut running.state);
-                    running.since_start_s += period_s;
+                    running.time_s += period_s;
                     if let Some(place) = places.command {
                         values[place] = command;
                     }
@@ -273,7 +282,7 @@ impl Engine for PressEngine {
         if shown.all(|place| values[place].is_finite()) {
             Ok(())
         } else {
-            Err(ModelError::OutOfBounds(running.since_start_s))
+            Err(ModelError::OutOfBounds(running.time_s))
         }
     }
 

@@ -22,6 +22,7 @@ struct Exported {
     stroke_m: f64,
     full_force_n: f64,
     cycle: DutyCycle,
+    start_time: Option<String>,
 }
 
 impl Exported {
@@ -57,6 +58,7 @@ impl Exported {
                 outputs: outputs.map(|signal| same(signal.name())).chain([same(VELOCITY)]).collect(),
                 set: BTreeMap::new(),
                 start_position: Some("start_position".into()),
+                start_time: self.start_time,
                 preload: Vec::new(),
                 timeout_s: 60.0,
             }),
@@ -96,6 +98,7 @@ pub fn press(spec: &MachineSpec, file: PathBuf, with_controller: bool) -> Simula
         stroke_m: spec.plant.stroke_m,
         full_force_n: NOMINAL_FORCE_N * Size::of(spec).force,
         cycle: spec.cycle.clone(),
+        start_time: Some("start_time".into()),
     };
     let mut parameters = spec.calibrated_parameters();
     parameters.extend(SimulatedAxis::wear(spec));
@@ -117,6 +120,7 @@ pub fn electric_axis(axis: &ElectricAxis, file: PathBuf) -> SimulatorSpec {
         stroke_m: axis.plant.stroke_m,
         full_force_n: axis.plant.full_force_n,
         cycle: axis.cycle.clone(),
+        start_time: None,
     };
     let mut simulator = exported.spec(&axis.signals(), &axis.calibrated_parameters(), axis);
     let key = "asymmetric_friction";

@@ -222,6 +222,7 @@ struct HostedFmu {
     load: Option<Mapped>,
     outputs: Vec<(Option<Signal>, Mapped)>,
     start_position: Option<Mapped>,
+    start_time: Option<Mapped>,
     set: Vec<(u32, f64)>,
     now_s: f64,
     fresh: bool,
@@ -255,6 +256,7 @@ impl HostedFmu {
             outputs: BTreeMap::new(),
             set: BTreeMap::new(),
             start_position: None,
+            start_time: None,
             preload: Vec::new(),
             timeout_s: 0.0,
         };
@@ -282,10 +284,12 @@ impl HostedFmu {
             let signal = if name == VELOCITY { None } else { Signal::from_name(name) };
             outputs.push((signal, mapped(&format!("fmu.outputs.{name}"), variable, Causality::Output)?));
         }
-        let start_position = fmu
-            .start_position
-            .as_ref()
-            .map(|name| mapped("fmu.start_position", &FmuVariable::Name(name.clone()), Causality::Parameter));
+        let start = |key: &str, name: &Option<String>| {
+            let name = name.as_ref().map(|name| FmuVariable::Name(name.clone()));
+            name.map(|name| mapped(key, &name, Causality::Parameter)).transpose()
+        };
+        let start_position = start("fmu.start_position", &fmu.start_position)?;
+        let start_time = start("fmu.start_time", &fmu.start_time)?;
         let set = fmu.set.iter().map(|(name, value)| {
             Ok((named(&description, "fmu.set", name, Causality::Parameter)?.reference, *value))
         });
@@ -305,7 +309,8 @@ impl HostedFmu {
             reference,
             load,
             outputs,
-            start_position: start_position.transpose()?,
+            start_position,
+            start_time,
             set,
             now_s: 0.0,
             fresh: true,
@@ -450,8 +455,10 @@ impl SteppedPlant for HostedFmu {
         for (reference, value) in self.set.iter().chain(&self.parameters) {
             self.instance.set(&[*reference], &[*value])?;
         }
-        if let Some(position) = &self.start_position {
-            self.instance.set(&[position.reference], &[position.its(first.demand_m)])?;
+        for (place, value) in [(&self.start_position, first.demand_m), (&self.start_time, first.at_s)] {
+            if let Some(place) = place {
+                self.instance.set(&[place.reference], &[place.its(value)])?;
+            }
         }
         self.instance.enter_initialization()?;
         if let Some(load) = &self.load {

@@ -99,6 +99,9 @@ pub struct FmuSpec {
     /// The parameter that is the position at the start, m, if it has one: a run begins where its drive does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub start_position: Option<String>,
+    /// The parameter that is the time in the duty cycle at the start, s, if it has one: for what happens at a time of the cycle.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start_time: Option<String>,
     /// Libraries that are loaded before the model's, such as `libpython3.11.so.1.0`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub preload: Vec<String>,
