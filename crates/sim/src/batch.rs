@@ -7,7 +7,7 @@
 use rayon::prelude::*;
 
 use crate::cycle::{CycleRun, DriveSample, RunStart, Schedule};
-use crate::machine::{Input, Machine, SimulatedSignals};
+use crate::machine::{Input, Machine, MachineState, SimulatedSignals};
 use crate::real::{LANES, Lanes, Real};
 use crate::simd::widest;
 use crate::spec::MachineSpec;
@@ -63,7 +63,7 @@ pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &SimulatedSignals<Lan
     let mut samples: Vec<DriveSample> =
         schedules.iter().filter_map(|schedule| schedule.clone().next()).collect();
     let mut state = machine.start_at(&Input::gather(&samples));
-    // A block of ticks at a time runs under the widest instructions; the sink is called outside of them.
+    // A block of ticks at a time; the sink is called outside of the widest instructions.
     let mut block: Vec<SimulatedSignals<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     let mut inputs: Vec<Input<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     let mut tick = 0;
@@ -75,15 +75,7 @@ pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &SimulatedSignals<Lan
             samples.extend(schedules.iter_mut().filter_map(Iterator::next));
             inputs.push(Input::gather(&samples));
         }
-        block.clear();
-        widest(
-            #[inline(always)]
-            || {
-                for input in &inputs {
-                    block.push(machine.tick(&mut state, input));
-                }
-            },
-        );
+        tick_block(&machine, &mut state, &inputs, &mut block);
         for (offset, signals) in block.iter().enumerate() {
             let at = tick + offset as u64;
             for (lane, job) in jobs.iter().enumerate().take(LANES) {
@@ -117,20 +109,50 @@ pub fn follow(
     let mut state = start.map_or_else(|| machine.start_at(&first), |start| machine.start_from(start, &first));
     let mut block: Vec<SimulatedSignals<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     for (number, samples) in drive.chunks(BLOCK_TICKS).enumerate() {
-        block.clear();
-        widest(
-            #[inline(always)]
-            || {
-                for sample in samples {
-                    let input = Input { a_leak, ..Input::gather(std::slice::from_ref(sample)) };
-                    block.push(machine.tick_along(&mut state, sample, &input));
-                }
-            },
-        );
+        tick_block_along(&machine, &mut state, samples, a_leak, &mut block);
         for (offset, signals) in block.iter().enumerate() {
             sink(number * BLOCK_TICKS + offset, signals);
         }
     }
+}
+
+/// Runs a block of ticks under the widest instructions into `block`. Not generic, so that it is compiled here, once for each instruction
+/// set, and not again for every sink of every crate.
+fn tick_block(
+    machine: &Machine<Lanes>,
+    state: &mut MachineState<Lanes>,
+    inputs: &[Input<Lanes>],
+    block: &mut Vec<SimulatedSignals<Lanes>>,
+) {
+    block.clear();
+    widest(
+        #[inline(always)]
+        || {
+            for input in inputs {
+                block.push(machine.tick(state, input));
+            }
+        },
+    );
+}
+
+/// Runs a block of a drive's ticks, each machine with its own leak, as [`tick_block`] does.
+fn tick_block_along(
+    machine: &Machine<Lanes>,
+    state: &mut MachineState<Lanes>,
+    samples: &[DriveSample],
+    a_leak: Lanes,
+    block: &mut Vec<SimulatedSignals<Lanes>>,
+) {
+    block.clear();
+    widest(
+        #[inline(always)]
+        || {
+            for sample in samples {
+                let input = Input { a_leak, ..Input::gather(std::slice::from_ref(sample)) };
+                block.push(machine.tick_along(state, sample, &input));
+            }
+        },
+    );
 }
 
 /// Ticks that are run between two calls of the sink.
