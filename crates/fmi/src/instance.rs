@@ -6,7 +6,8 @@
     reason = "functions of a foreign library are called by the signatures that the standard gives them"
 )]
 
-use std::ffi::{CString, NulError, c_char, c_int, c_void};
+use std::cell::RefCell;
+use std::ffi::{CStr, CString, NulError, c_char, c_int, c_void};
 use std::path::{Path, PathBuf};
 use std::ptr::{null, null_mut};
 
@@ -44,12 +45,14 @@ pub enum InstanceError {
     #[error("the FMU gives no instance: a wrong token, a missing resource, or a licence")]
     NoInstance,
     /// A function that returned an error.
-    #[error("{function} returned {}", status_name(*status))]
+    #[error("{function} returned {}{}{said}", status_name(*status), if said.is_empty() { "" } else { ": " })]
     Status {
         /// The function.
         function: &'static str,
         /// Its status.
         status: i32,
+        /// What the model logged last in that call; of FMI 2 as it stands, without what it puts in for `%s` and the like.
+        said: String,
     },
 }
 
@@ -78,9 +81,31 @@ unsafe extern "C" {
     fn free(block: *mut c_void);
 }
 
-extern "C" fn log_two(_: Handle, _: *const c_char, _: Status, _: *const c_char, _: *const c_char) {}
+extern "C" fn log_two(_: Handle, _: *const c_char, _: Status, _: *const c_char, message: *const c_char) {
+    remember(message);
+}
 
-extern "C" fn log_three(_: Handle, _: Status, _: *const c_char, _: *const c_char) {}
+extern "C" fn log_three(_: Handle, _: Status, _: *const c_char, message: *const c_char) {
+    remember(message);
+}
+
+/// Longest text of a model that is passed on, characters.
+const MOST_SAID: usize = 300;
+
+thread_local! {
+    /// What a model logged last, for the error that may follow.
+    static SAID: RefCell<String> = const { RefCell::new(String::new()) };
+}
+
+fn remember(message: *const c_char) {
+    if message.is_null() {
+        return;
+    }
+    // SAFETY: the standard has the model give a text that ends with a zero and lives through the call.
+    let text = unsafe { CStr::from_ptr(message) }.to_string_lossy();
+    let line = text.chars().map(|character| if character.is_control() { ' ' } else { character });
+    SAID.with_borrow_mut(|said| *said = line.take(MOST_SAID).collect::<String>().trim().to_owned());
+}
 
 type Values = unsafe extern "C" fn(Handle, *const u32, usize, *mut f64) -> Status;
 type ValuesThree = unsafe extern "C" fn(Handle, *const u32, usize, *mut f64, usize) -> Status;
@@ -145,7 +170,12 @@ fn function<T: Copy>(library: &Library, name: &'static str) -> Result<T, Instanc
 }
 
 fn good(function: &'static str, status: Status) -> Result<(), InstanceError> {
-    if (0..=WARNING).contains(&status) { Ok(()) } else { Err(InstanceError::Status { function, status }) }
+    let said = SAID.take();
+    if (0..=WARNING).contains(&status) {
+        Ok(())
+    } else {
+        Err(InstanceError::Status { function, status, said })
+    }
 }
 
 impl Instance {

@@ -135,10 +135,10 @@ impl PressEngine {
                 }
             }
         }
-        // Bounds are for calibration; a parameter may be set beyond them.
+        // Bounds are for calibration; a parameter may be set beyond them. Effects have the ranges that the description states.
         spec.bounds.clear();
         let spec = spec.with_stable_steps();
-        spec.check()?;
+        spec.check_as(Size::of(&self.spec))?;
         Ok((spec, delay_s))
     }
 }

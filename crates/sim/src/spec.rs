@@ -243,7 +243,7 @@ impl MachineSpec {
             assignment: assignment.to_owned(),
         })?;
         self.effects.entry(effect.trim().into()).or_default().insert(parameter.trim().into(), value);
-        self.check_effects()
+        self.check_effects(Size::of(self))
     }
 
     /// Checks every value, and that the plant is stable at its step.
@@ -251,6 +251,15 @@ impl MachineSpec {
     /// # Errors
     /// [`SpecError`] for the first thing that is wrong.
     pub fn check(&self) -> Result<(), SpecError> {
+        self.check_as(Size::of(self))
+    }
+
+    /// Checks as [`MachineSpec::check`] does, with the effects' ranges of a machine of that size: of the one whose parameters these vary,
+    /// since a size goes by octaves.
+    ///
+    /// # Errors
+    /// [`SpecError`] for the first thing that is wrong.
+    pub fn check_as(&self, size: Size) -> Result<(), SpecError> {
         for info in PlantParameters::ALL {
             let value = self.plant.get(info.key).unwrap_or(f64::NAN);
             if !(value.is_finite() && value >= info.minimum) {
@@ -269,7 +278,7 @@ impl MachineSpec {
         if !self.controller.is_none() {
             self.check_cycle()?;
         }
-        self.check_effects()?;
+        self.check_effects(size)?;
         self.check_stability()
     }
 
@@ -353,7 +362,7 @@ impl MachineSpec {
         Ok(())
     }
 
-    fn check_effects(&self) -> Result<(), SpecError> {
+    fn check_effects(&self, size: Size) -> Result<(), SpecError> {
         for (key, values) in &self.effects {
             let Some(effect) = effects::every().find(|effect| effect.key() == key) else {
                 let known: Vec<&str> = effects::every().map(|effect| effect.key()).collect();
@@ -369,7 +378,7 @@ impl MachineSpec {
                     return Err(unknown_name(format!("effects.{key}"), name, &known));
                 };
                 if *value != parameter.neutral {
-                    let (low, high) = Size::of(self).range_of(parameter);
+                    let (low, high) = size.range_of(parameter);
                     in_range(format!("effects.{key}.{name}"), *value, low, high)?;
                 }
             }

@@ -401,14 +401,14 @@ impl HostedFmu {
     }
 }
 
-/// A drive's ticks, with the load linear between them.
+/// A drive's ticks, with the load linear between them; their time runs on over the end of the cycle that they began in.
 fn samples(drive: &HostedDrive, period_s: f64) -> Vec<DriveSample> {
     let ends = drive.load.iter().skip(1).chain(drive.load.last());
     let ticks = drive.demand.iter().zip(&drive.load).zip(ends).enumerate();
     ticks
         .map(|(tick, ((demand_m, load_n), load_end_n))| DriveSample {
             run: 0,
-            at_s: tick as f64 * period_s,
+            at_s: drive.start_s + tick as f64 * period_s,
             demand_m: *demand_m,
             command: 0.0,
             load_n: *load_n,

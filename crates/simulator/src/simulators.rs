@@ -296,6 +296,8 @@ pub(crate) struct HostedRun {
 /// A drive, tick by tick.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct HostedDrive {
+    /// Time in the duty cycle of the first tick, s.
+    pub(crate) start_s: f64,
     pub(crate) demand: Vec<f64>,
     pub(crate) load: Vec<f64>,
 }
@@ -386,6 +388,7 @@ impl Worker {
         let key = content_of(drive);
         let is_there = self.drive.replace(key) == Some(key);
         let drive = (!is_there).then(|| HostedDrive {
+            start_s: drive.first().map_or(0.0, |first| first.at_s),
             demand: drive.iter().map(|sample| sample.demand_m).collect(),
             load: drive.iter().map(|sample| sample.load_n).collect(),
         });
