@@ -331,7 +331,7 @@ pub struct RelativeGolden {
 /// The change δ of the phases' means and rises, as `z = B δ`, has noise of variance σ² in each coordinate, where the command's has σ², and of what load,
 /// oil and supply ordinarily do the variance `ordinary`, in no two coordinates together. With the weights `w = 1/√(σ² + ordinary)` a cell's likelihood is
 /// normal about `w·mean`, with covariance `1 + error² |w·z|²/n` in each of the n coordinates, and that of its directions. Means of two cells add, and so do
-/// their errors, that of the seal then of its own `|w·mean|² + Σ |w·direction|²`.
+/// their errors, that of the seal then of its own `|w·mean|² + Σ |w·direction|²`, that of the other of what the seal's mean and directions leave of `w·z`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CausesFile {
@@ -367,6 +367,9 @@ fn is_usual_alike_from(value: &f64) -> bool {
 pub struct CellFile {
     /// The cause.
     pub kind: Kind,
+    /// Of a leak: whether it follows laws that the model's estimates have not learned.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub other_law: bool,
     /// Mean size, in the kind's unit.
     pub size: f64,
     /// What the size changes by along each direction's standard deviation.

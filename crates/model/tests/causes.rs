@@ -10,6 +10,7 @@ const NUMBERS: usize = 4;
 fn cell(cause: Cause, unit: SizeUnit, size: f64, response: [f32; NUMBERS]) -> CellFile {
     CellFile {
         kind: Kind { cause, side: None, unit },
+        other_law: false,
         size,
         size_loadings: vec![0.2 * size],
         size_rest: 0.0,

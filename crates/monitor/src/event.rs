@@ -184,14 +184,6 @@ pub struct CauseLine<'a> {
 #[derive(Debug, Clone, Copy)]
 pub struct Candidates<'a>(pub &'a [Candidate]);
 
-impl Candidates<'_> {
-    /// Probability of the cause of that name, over its sides and units.
-    pub fn probability_of(&self, cause: &str) -> f64 {
-        let named = self.0.iter().filter(|candidate| candidate.kind.cause.name() == cause);
-        named.map(|candidate| candidate.probability).sum()
-    }
-}
-
 impl Serialize for Candidates<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         #[derive(Serialize)]

@@ -21,8 +21,8 @@ pub struct Answer {
     pub also: Option<String>,
     /// Probability of the cause.
     pub probability: f64,
-    /// Probability that the seal leaks.
-    pub seal: f64,
+    /// Every cause with its probability, the likeliest first.
+    pub candidates: Vec<(String, f64)>,
     /// Leak at the end, L/min, and its interval; absent without an estimate.
     pub leak_lpm: Option<(f64, [f64; 2])>,
 }
@@ -38,6 +38,8 @@ pub struct Answered {
 
 /// Causes that the command alone cannot tell apart for certain.
 const CLASSES: [&[&str]; 2] = [&["valve_null", "external_leak"], &["friction", "load", "spring"]];
+/// Causes that cannot be told apart are told as a class where they have this probability together.
+const TOLD_FROM: f64 = 0.65;
 /// Leaks from here on must not be missed, L/min.
 const LEAST_LPM: f64 = 0.3;
 
@@ -56,7 +58,7 @@ pub struct Scores {
     pub decided: [Share; 2],
     /// Share of the causes without a name that were called unknown, or left open.
     pub outside: Share,
-    /// Mean probability said less the share that is right, of those decided.
+    /// Mean probability said of the cause that is named, or of its class, less the share of machines that have it, of those decided.
     pub overconfidence: f64,
     /// Share of cycles without an estimate after a change with a name.
     pub silent: Share,
@@ -88,6 +90,28 @@ impl Share {
     }
 }
 
+impl Answer {
+    /// What is told, with its probability: a cause, or of a class whose members cannot be told apart the likeliest.
+    fn told(&self) -> Option<(&str, f64)> {
+        match self.cause.as_str() {
+            "unknown" => None,
+            "cannot_tell" => {
+                let (likeliest, _) = self.candidates.first()?;
+                let class = class_of(likeliest);
+                let members = self.candidates.iter().filter(|(cause, _)| class.contains(&cause.as_str()));
+                let probability = members.map(|(_, probability)| probability).sum();
+                (probability >= TOLD_FROM).then_some((likeliest, probability))
+            }
+            cause => Some((cause, self.probability)),
+        }
+    }
+}
+
+/// The class of a cause; empty for one that stands alone.
+fn class_of(cause: &str) -> &'static [&'static str] {
+    CLASSES.into_iter().find(|class| class.contains(&cause)).unwrap_or_default()
+}
+
 impl Answered {
     fn leaks(&self) -> bool {
         self.change.leak_lpm > 0.0
@@ -100,17 +124,27 @@ impl Answered {
     /// Whether a cause that was named is the planted one, or of its class.
     fn is(&self, named: &str) -> bool {
         let Some(cause) = self.change.cause.as_deref() else { return false };
-        let class = CLASSES.into_iter().find(|class| class.contains(&cause)).unwrap_or_default();
-        cause == named || class.contains(&named)
+        cause == named || class_of(cause).contains(&named)
     }
 
     fn is_decided(&self) -> bool {
-        !matches!(self.answer.cause.as_str(), "cannot_tell" | "unknown")
+        self.answer.told().is_some()
+    }
+
+    /// Whether the machine has what is named first, whatever else it has.
+    fn has_what_is_named(&self) -> bool {
+        match self.answer.told() {
+            None => false,
+            Some(("none", _)) => !self.leaks() && self.change.cause.is_none(),
+            Some(("piston_seal", _)) => self.leaks(),
+            Some((cause, _)) => self.is(cause),
+        }
     }
 
     /// Whether the cause is right: nothing, the seal, another cause, or both.
     fn is_right(&self) -> bool {
-        let Answer { cause, also, .. } = &self.answer;
+        let also = &self.answer.also;
+        let Some((cause, _)) = self.answer.told() else { return false };
         match (self.leaks(), self.change.cause.is_some()) {
             (false, false) => cause == "none",
             (true, false) => cause == "piston_seal" && also.is_none(),
@@ -156,9 +190,8 @@ pub fn score(answers: &[Answered]) -> Scores {
     let decided: Vec<&Answered> = named.iter().copied().filter(|one| one.is_decided()).collect();
     let by_law =
         |other: bool| named.iter().copied().filter(|one| one.change.other_law == other).collect::<Vec<_>>();
-    let said: f64 =
-        decided.iter().map(|one| one.answer.probability).sum::<f64>() / decided.len().max(1) as f64;
-    let right_of_decided = Share::of(&decided, Answered::is_right);
+    let said: f64 = decided.iter().filter_map(|one| one.answer.told()).map(|(_, said)| said).sum::<f64>()
+        / decided.len().max(1) as f64;
     let changed = of(&|one| one.change.cause.is_some() && !one.is_outside());
     let leaks = [large(false), large(true)];
     Scores {
@@ -170,9 +203,9 @@ pub fn score(answers: &[Answered]) -> Scores {
             Share::of(&by_law(false), Answered::is_right),
             Share::of(&by_law(true), Answered::is_right),
         ],
-        decided: [Share::of(&named, Answered::is_decided), right_of_decided],
+        decided: [Share::of(&named, Answered::is_decided), Share::of(&decided, Answered::is_right)],
         outside: Share::of(&of(&Answered::is_outside), |one| !one.is_decided()),
-        overconfidence: said - right_of_decided.value(),
+        overconfidence: said - Share::of(&decided, Answered::has_what_is_named).value(),
         silent: Share {
             count: changed.iter().map(|one| one.answer.silent).sum(),
             of: changed.iter().map(|one| one.answer.cycles).sum(),
@@ -220,10 +253,30 @@ mod tests {
                 cause: said.into(),
                 also: also.map(str::to_owned),
                 probability: 0.9,
-                seal: 0.0,
+                candidates: Vec::new(),
                 leak_lpm: Some((given, [0.9 * given, 1.1 * given])),
             },
         }
+    }
+
+    /// Friction or a load, 0.9 together, is told as their class; a null shift or a gain, of which neither is like the other, is not told.
+    #[test]
+    fn causes_that_look_alike_are_told_as_a_class() {
+        let of = |candidates: [(&str, f64); 2]| {
+            let mut one = answered(Some("load"), 0.0, "cannot_tell", None, 0.0);
+            one.answer.candidates =
+                candidates.map(|(cause, probability)| (cause.into(), probability)).to_vec();
+            one
+        };
+        let [class, none] =
+            [[("friction", 0.5), ("load", 0.4)], [("valve_null", 0.5), ("controller", 0.4)]].map(of);
+        assert!(class.is_decided() && class.is_right() && !none.is_decided() && !none.is_right());
+        let scores = score(&[class, none]);
+        assert_eq!(
+            (scores.right[0], scores.decided[0]),
+            (Share { count: 1, of: 2 }, Share { count: 1, of: 2 })
+        );
+        assert!((scores.overconfidence + 0.1).abs() < 1e-12, "{}", scores.overconfidence);
     }
 
     #[test]

@@ -96,7 +96,7 @@ fn watch(model: &std::sync::Arc<Model>, watched: &Watched, seed: u64) -> Result<
         cause: "none".into(),
         also: None,
         probability: 0.0,
-        seal: 0.0,
+        candidates: Vec::new(),
         leak_lpm: None,
     };
     let mut time_ns = 0;
@@ -130,7 +130,8 @@ impl Hear for Answer {
         self.cause = cause.cause.to_owned();
         self.also = cause.cause_also.map(str::to_owned);
         self.probability = cause.cause_probability;
-        self.seal = cause.cause_candidates.probability_of("piston_seal");
+        let candidates = cause.cause_candidates.0.iter();
+        self.candidates = candidates.map(|one| (one.kind.cause.name().to_owned(), one.probability)).collect();
         let lpm = line.leak_flow_lpm.zip(line.leak_area_m2).zip(line.interval90_m2);
         self.leak_lpm = lpm.map(|((flow, area), interval)| {
             // A leak of nothing has no ratio.

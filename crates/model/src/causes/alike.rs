@@ -92,6 +92,7 @@ mod tests {
             let mean: Vec<f32> = pattern.iter().map(|value| (value * size) as f32).collect();
             CellFile {
                 kind: Kind { cause, side: None, unit },
+                other_law: false,
                 size,
                 size_loadings: vec![0.4 * size],
                 size_rest: 0.01 * size,

@@ -16,11 +16,11 @@ pub enum KnownConditions {
 }
 
 impl Causes {
-    /// Least standard deviation of a small leak's area, m², by an estimate that knows nothing but the numbers; `None` of a model without leaks. `noise` is the
+    /// Least standard deviation of a small leak's area, m², of the law that estimates have learned, by one that knows nothing but the numbers; `None` of a model without. `noise` is the
     /// standard deviation of the noise left on the command in the change: a cycle's times √(1/cycles + 1/baseline cycles).
     pub fn least_leak_deviation_m2(&self, noise: f64, conditions: KnownConditions) -> Option<f64> {
-        // The smallest leaks of an orifice come first.
-        let cell = self.cells.iter().find(|cell| cell.is_seal && cell.size > 0.0)?;
+        let mut leaks = self.leaks.iter().map(|leak| &self.cells[*leak]);
+        let cell = leaks.find(|cell| !cell.has_other_law)?;
         let ordinary = |variance: f64| if conditions == KnownConditions::Yes { 0.0 } else { variance };
         let coordinates = self.mean_of(cell).iter().zip(&self.file.ordinary);
         let information: f64 = coordinates

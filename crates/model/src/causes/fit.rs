@@ -5,15 +5,30 @@ use super::{Causes, Cell, Change, MAX_NUMBERS, MAX_RANK};
 /// Most directions of a hypothesis: those of two cells.
 const MOST_DIRECTIONS: usize = 2 * MAX_RANK;
 
-pub(super) type Vector = [f64; MAX_NUMBERS];
-
-/// A change in whitened coordinates.
-pub(super) struct Whitened {
+/// A change in whitened coordinates, those beyond the model's 0. Their number is known to the compiler, so that sums over them are of one piece.
+pub(super) struct Whitened<const N: usize> {
     pub(super) count: usize,
     /// What a coordinate is multiplied by.
-    pub(super) weights: Vector,
+    pub(super) weights: [f64; N],
     /// The change.
-    pub(super) change: Vector,
+    pub(super) change: [f64; N],
+}
+
+impl<const N: usize> Whitened<N> {
+    /// Squared length of the change along a direction of length 1, and beside it.
+    pub(super) fn parted(&self, direction: &[f64; N]) -> [f64; 2] {
+        let along = dot(&self.change, direction);
+        [along * along, (dot(&self.change, &self.change) - along * along).max(0.0)]
+    }
+
+    /// Numbers in these coordinates.
+    fn weighted(&self, values: &[f64]) -> [f64; N] {
+        let mut weighted = [0.0; N];
+        for (slot, (value, weight)) in weighted.iter_mut().zip(values.iter().zip(&self.weights)) {
+            *slot = value * weight;
+        }
+        weighted
+    }
 }
 
 /// A hypothesis, fitted.
@@ -43,36 +58,46 @@ impl Fit {
     }
 }
 
-fn dot(a: &[f64], b: &[f64]) -> f64 {
+fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
     // Four sums side by side: additions wait for each other otherwise.
     let mut sums = [0.0; 4];
-    let (chunks_a, chunks_b) = (a.chunks_exact(4), b.chunks_exact(4));
-    let rest: f64 = chunks_a.remainder().iter().zip(chunks_b.remainder()).map(|(a, b)| a * b).sum();
-    for (a, b) in chunks_a.zip(chunks_b) {
+    for (a, b) in a.as_chunks::<4>().0.iter().zip(b.as_chunks::<4>().0) {
         for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
             *sum += a * b;
         }
     }
-    sums.iter().sum::<f64>() + rest
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
+}
+
+/// Squared length of what directions leave of a vector.
+fn left<const N: usize>(vector: &[f64; N], directions: &[[f64; N]]) -> f64 {
+    let mut rest = *vector;
+    for direction in directions {
+        let along = dot(&rest, direction) / dot(direction, direction).max(f64::MIN_POSITIVE);
+        for (value, direction) in rest.iter_mut().zip(direction) {
+            *value -= along * direction;
+        }
+    }
+    dot(&rest, &rest)
 }
 
 impl Causes {
     /// The change in coordinates in which noise and ordinary variation together have variance 1.
-    pub(super) fn whitened(&self, change: &Change<'_>) -> Whitened {
+    pub(super) fn whitened<const N: usize>(&self, change: &Change<'_>) -> Whitened<N> {
         let count = self.numbers();
-        let (mut weights, mut whitened) = ([0.0; MAX_NUMBERS], [0.0; MAX_NUMBERS]);
+        let (mut weights, mut whitened) = ([0.0; N], [0.0; N]);
         let noise = change.noise * change.noise + LEAST_VARIANCE;
         let rows = self.file.basis.chunks_exact(count.max(1)).zip(&self.file.ordinary);
         for ((weight, value), (row, ordinary)) in weights.iter_mut().zip(&mut whitened).zip(rows) {
             *weight = 1.0 / libm::sqrt(noise + ordinary);
-            *value = *weight * dot(row, change.numbers.get(..count).unwrap_or_default());
+            *value = *weight * row.iter().zip(change.numbers).map(|(a, b)| a * b).sum::<f64>();
         }
         Whitened { count, weights, change: whitened }
     }
 
     /// Squared distance over the number of coordinates between two readings of one machine, of which noise and ordinary variation give 1.
     pub fn distance(&self, difference: &Change<'_>) -> f64 {
-        let whitened = self.whitened(difference);
+        let whitened = self.whitened::<MAX_NUMBERS>(difference);
         dot(&whitened.change, &whitened.change) / whitened.count.max(1) as f64
     }
 
@@ -83,7 +108,8 @@ impl Causes {
         let rows = self.file.inverse.chunks_exact(n);
         let count = deviations.len().min(n);
         for (slot, (deviation, row)) in noise.iter_mut().zip(deviations.iter().zip(rows)) {
-            *slot = deviation / libm::sqrt(dot(row, row)).max(f64::MIN_POSITIVE);
+            let length = libm::sqrt(row.iter().map(|value| value * value).sum::<f64>());
+            *slot = deviation / length.max(f64::MIN_POSITIVE);
         }
         noise[..count].sort_unstable_by(f64::total_cmp);
         noise.get(..count).and_then(|noise| noise.get(count / 2)).copied().unwrap_or(0.0)
@@ -103,73 +129,98 @@ impl Causes {
     }
 
     /// Fits the sum of some cells, none, one or two.
-    pub(super) fn fit(&self, whitened: &Whitened, cells: &[&Cell]) -> Fit {
-        self.fit_beside(whitened, cells, None)
+    pub(super) fn fit<const N: usize>(&self, whitened: &Whitened<N>, cells: &[&Cell]) -> Fit {
+        self.lay(whitened, cells).moments.fit(whitened.count)
     }
 
-    /// The same in what is left of all coordinates beside a direction of length 1, with the error of the response that lies along it.
-    pub(super) fn fit_beside(
-        &self,
-        whitened: &Whitened,
-        cells: &[&Cell],
-        beside: Option<(&Vector, f64)>,
-    ) -> Fit {
-        let n = whitened.count;
-        let weighted = |values: &[f64]| -> Vector {
-            let mut weighted = [0.0; MAX_NUMBERS];
-            for (slot, (value, weight)) in weighted.iter_mut().zip(values.iter().zip(&whitened.weights)) {
-                *slot = value * weight;
-            }
-            weighted
-        };
-        let projected = |mut vector: Vector| -> Vector {
-            if let Some((beside, _)) = beside {
-                let along = dot(&vector[..n], &beside[..n]);
-                for (value, direction) in vector.iter_mut().zip(beside) {
-                    *value -= along * direction;
-                }
-            }
-            vector
-        };
+    /// Lays cells beside a change.
+    pub(super) fn lay<const N: usize>(&self, whitened: &Whitened<N>, cells: &[&Cell]) -> Laid<N> {
         let mut rest = whitened.change;
-        let whole = dot(&rest[..n], &rest[..n]);
-        let mut scale = 1.0;
-        let mut directions = [[0.0; MAX_NUMBERS]; MOST_DIRECTIONS];
-        let mut rank = 0;
+        let mut directions = [[0.0; N]; MOST_DIRECTIONS];
+        let (mut rank, mut scale) = (0, 1.0);
         for (place, cell) in cells.iter().enumerate() {
-            // The last cell's response is the change, or most of it: its error goes by that, whichever cell it is.
+            // The last cell's response is what the cell before it leaves of the change, or most of it: its error goes by that, whichever cell it is.
             let is_last = place + 1 == cells.len();
-            let mean = weighted(self.mean_of(cell));
-            let mut length = if is_last { whole } else { dot(&mean[..n], &mean[..n]) };
+            let mean = whitened.weighted(self.mean_of(cell));
+            let mut length = if is_last { left(&rest, &directions[..rank]) } else { dot(&mean, &mean) };
             for (value, mean) in rest.iter_mut().zip(&mean) {
                 *value -= mean;
             }
             for which in 0..cell.rank {
-                let direction = weighted(self.direction_of(cell, which));
+                let direction = whitened.weighted(self.direction_of(cell, which));
                 if !is_last {
-                    length += dot(&direction[..n], &direction[..n]);
+                    length += dot(&direction, &direction);
                 }
-                directions[rank] = projected(direction);
+                directions[rank] = direction;
                 rank += 1;
             }
-            // The response beside may be all of the change: what its law leaves must not be held against a cell that is exact.
-            let error = beside.map_or(cell.error, |(_, error)| cell.error.max(error));
-            scale += error * error * length / n as f64;
+            scale += cell.error * cell.error * length / whitened.count as f64;
         }
-        let rest = projected(rest);
-        let (mut factor, mut along) = ([[0.0; MOST_DIRECTIONS]; MOST_DIRECTIONS], [0.0; MOST_DIRECTIONS]);
+        let (mut products, mut along) = ([[0.0; MOST_DIRECTIONS]; MOST_DIRECTIONS], [0.0; MOST_DIRECTIONS]);
         for i in 0..rank {
-            along[i] = dot(&directions[i][..n], &rest[..n]);
+            along[i] = dot(&directions[i], &rest);
             for j in 0..=i {
-                factor[i][j] = dot(&directions[i][..n], &directions[j][..n]);
+                products[i][j] = dot(&directions[i], &directions[j]);
             }
-            factor[i][i] += scale;
+        }
+        let moments = Moments { square: dot(&rest, &rest), along, products, rank, scale };
+        Laid { rest, directions, moments }
+    }
+}
+
+/// Cells beside a change: what their means leave of it, their directions, and what a fit needs of these.
+pub(super) struct Laid<const N: usize> {
+    rest: [f64; N],
+    directions: [[f64; N]; MOST_DIRECTIONS],
+    pub(super) moments: Moments,
+}
+
+impl<const N: usize> Laid<N> {
+    /// What is left of them in all coordinates beside a direction of length 1, with a variance of its own.
+    pub(super) fn beside(&self, direction: &[f64; N], scale: f64) -> Moments {
+        let mut moments = self.moments;
+        let mut shares = [0.0; MOST_DIRECTIONS];
+        for (share, own) in shares.iter_mut().zip(&self.directions).take(moments.rank) {
+            *share = dot(own, direction);
+        }
+        let rest = dot(&self.rest, direction);
+        moments.square -= rest * rest;
+        for i in 0..moments.rank {
+            moments.along[i] -= shares[i] * rest;
+            for j in 0..=i {
+                moments.products[i][j] -= shares[i] * shares[j];
+            }
+        }
+        moments.scale = scale;
+        moments
+    }
+}
+
+/// What a fit needs of cells and a change.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Moments {
+    /// Squared length of what the means leave of the change.
+    square: f64,
+    /// What of it lies along each direction, and the directions' products.
+    along: [f64; MOST_DIRECTIONS],
+    products: Factor,
+    rank: usize,
+    /// Variance of a coordinate that the directions leave.
+    scale: f64,
+}
+
+impl Moments {
+    /// Fits, in so many coordinates.
+    pub(super) fn fit(&self, n: usize) -> Fit {
+        let Moments { square, mut along, products: mut factor, rank, scale } = *self;
+        for (i, row) in factor.iter_mut().enumerate().take(rank) {
+            row[i] += scale;
         }
         let log_determinant = cholesky(&mut factor, rank);
         let projections = along;
         solve(&factor, rank, &mut along);
         let explained: f64 = projections.iter().zip(&along).map(|(a, b)| a * b).sum();
-        let square = (dot(&rest[..n], &rest[..n]) - explained).max(0.0) / scale;
+        let square = (square - explained).max(0.0) / scale;
         let log_likelihood = -0.5 * (square + (n - rank) as f64 * libm::log(scale) + log_determinant);
         Fit { log_likelihood, distance: square / n as f64, along, factor, rank, scale }
     }
@@ -182,16 +233,16 @@ type Factor = [[f64; MOST_DIRECTIONS]; MOST_DIRECTIONS];
 
 /// Factors a positive definite matrix in place; the logarithm of its determinant.
 fn cholesky(matrix: &mut Factor, rank: usize) -> f64 {
-    let mut log_determinant = 0.0;
+    let mut root = 1.0;
     for i in 0..rank {
         for j in 0..=i {
             let inner: f64 = (0..j).map(|k| matrix[i][k] * matrix[j][k]).sum();
             let rest = matrix[i][j] - inner;
             matrix[i][j] = if i == j { libm::sqrt(rest.max(f64::MIN_POSITIVE)) } else { rest / matrix[j][j] };
         }
-        log_determinant += 2.0 * libm::log(matrix[i][i]);
+        root *= matrix[i][i];
     }
-    log_determinant
+    2.0 * libm::log(root)
 }
 
 /// Solves `L Lᵀ x = b` in place.

@@ -22,7 +22,7 @@ use crate::model::agree;
 use crate::schema::{CausesFile, CausesGolden};
 
 pub use bound::KnownConditions;
-pub use verdict::{Candidate, ChangeVerdict, Explanation};
+pub use verdict::{Candidate, ChangeVerdict, Explanation, OtherLaw};
 
 /// Most numbers that a change has: mean and rise of each phase.
 pub const MAX_NUMBERS: usize = 2 * MAX_PHASES;
@@ -190,6 +190,8 @@ struct Cell {
     is_seal: bool,
     /// Whether it is a cause that this machine's command does not tell from a leak.
     is_alike: bool,
+    /// Whether it is a leak under laws that the model's estimates have not learned.
+    has_other_law: bool,
     size: f64,
     rest: f64,
     error: f64,
@@ -207,6 +209,8 @@ pub struct Causes {
     /// Natural logarithm of a cell's prior probability, alone and beside the seal.
     priors: Vec<[f64; 2]>,
     cells: Vec<Cell>,
+    /// Indices of the cells of leaks, the smallest first.
+    leaks: Vec<usize>,
     /// Means and directions of the cells.
     numbers: Vec<f64>,
 }
@@ -244,6 +248,7 @@ impl Causes {
                 kind,
                 is_seal: cell.kind.cause == Cause::PistonSeal,
                 is_alike: false,
+                has_other_law: cell.other_law && cell.kind.cause == Cause::PistonSeal,
                 size: cell.size,
                 rest: cell.size_rest,
                 error: cell.error,
@@ -255,7 +260,10 @@ impl Causes {
             numbers.extend(all.map(|value| f64::from(*value)));
         }
         let priors = priors(&kinds, &cells);
-        let mut causes = Causes { file, kinds, priors, cells, numbers };
+        let mut leaks: Vec<usize> =
+            (0..cells.len()).filter(|index| cells[*index].is_seal && cells[*index].size > 0.0).collect();
+        leaks.sort_by(|a, b| cells[*a].size.total_cmp(&cells[*b].size));
+        let mut causes = Causes { file, kinds, priors, cells, leaks, numbers };
         causes.mark_what_is_alike();
         for (index, golden) in causes.file.golden.iter().enumerate() {
             causes.check_golden(golden, &format!("causes.golden[{index}]"))?;

@@ -1,6 +1,6 @@
 //! From likelihoods to a verdict: posterior probabilities of causes, with sizes, and what the other cause does to the phases' means.
 
-use super::fit::{Fit, Vector, Whitened};
+use super::fit::{Fit, Whitened};
 use super::{
     Cause, Causes, Cell, Change, Kind, MAX_CELLS, MAX_KINDS, MAX_NUMBERS, PRIOR_NONE, Side, SizeUnit,
 };
@@ -13,6 +13,10 @@ const TRIED_BESIDE: usize = 8;
 const Z_90: f64 = 1.645;
 /// Hypotheses less likely than the best by this factor's logarithm say nothing.
 const NEGLIGIBLE: f64 = -12.0;
+/// Numbers of a change of up to eight phases, which is most machines': two a phase.
+const USUAL_NUMBERS: usize = 16;
+/// Logarithm of the weight over the best from which on a cause is tried beside leaks: that of the pair is about what it has whatever the seal does.
+const WORTH_TRYING: f64 = -9.0;
 /// Most pairs that count.
 const MAX_PAIRS: usize = 64;
 
@@ -42,6 +46,17 @@ pub enum ChangeVerdict {
     Unknown,
 }
 
+/// What a leak is where it follows a law that the model's estimates have not learned.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct OtherLaw {
+    /// Probability that it does, given that the seal has changed.
+    pub probability: f64,
+    /// Its size then, m².
+    pub size: f64,
+    /// Standard deviation of that.
+    pub deviation: f64,
+}
+
 /// What explains a change.
 #[derive(Debug, Clone, Copy)]
 pub struct Explanation {
@@ -55,10 +70,12 @@ pub struct Explanation {
     pub probability: f64,
     /// Squared distance of the nearest hypothesis over the number of coordinates.
     pub distance: f64,
+    /// The leak under laws that the model's estimates have not learned.
+    pub leak_of_other_law: OtherLaw,
     /// The cause other than the seal in the most likely explanation, and whether the seal is in it too.
     pub other: Option<(Kind, bool)>,
     /// What that cause does to each phase's mean command, in the phases' order.
-    pub response: Vector,
+    pub response: [f64; MAX_NUMBERS],
     candidates: [Candidate; MAX_KINDS],
     count: usize,
 }
@@ -88,6 +105,21 @@ struct Pair {
     log_weight: f64,
 }
 
+/// Cells of other causes that do best whatever the seal does: logarithm of the weight and index, the best first.
+struct Tried([(f64, usize); TRIED_BESIDE]);
+
+impl Tried {
+    const NONE: Self = Tried([(f64::NEG_INFINITY, 0); TRIED_BESIDE]);
+
+    fn take(&mut self, index: usize, weight: f64) {
+        if weight > self.0[TRIED_BESIDE - 1].0 {
+            let at = self.0.partition_point(|(other, _)| *other >= weight);
+            self.0[at..].rotate_right(1);
+            self.0[at] = (weight, index);
+        }
+    }
+}
+
 /// Sums over the hypotheses with a kind.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
@@ -104,12 +136,22 @@ impl Tally {
         self.size += weight * size;
         self.square += weight * (variance + size * size);
     }
+
+    /// As a law of leaks that have some probability in all.
+    fn of_leaks(&self, probability: f64) -> OtherLaw {
+        if self.weight <= 0.0 {
+            return OtherLaw::default();
+        }
+        let size = self.size / self.weight;
+        let deviation = libm::sqrt((self.square / self.weight - size * size).max(0.0));
+        OtherLaw { probability: (self.weight / probability).min(1.0), size, deviation }
+    }
 }
 
 /// Every hypothesis with its weight, relative to the best.
-struct Weighed<'c> {
+struct Weighed<'c, const N: usize> {
     causes: &'c Causes,
-    whitened: Whitened,
+    whitened: Whitened<N>,
     none: f64,
     alone: [f64; MAX_CELLS],
     pairs: [Pair; MAX_PAIRS],
@@ -129,8 +171,10 @@ impl Causes {
     /// # }
     /// ```
     pub fn explain(&self, change: &Change<'_>) -> Explanation {
-        let weighed = Weighed::of(self, self.whitened(change));
-        weighed.explanation()
+        if self.numbers() <= USUAL_NUMBERS {
+            return Weighed::<USUAL_NUMBERS>::of(self, self.whitened(change)).explanation();
+        }
+        Weighed::<MAX_NUMBERS>::of(self, self.whitened(change)).explanation()
     }
 }
 
@@ -145,8 +189,8 @@ impl Causes {
     }
 }
 
-impl<'c> Weighed<'c> {
-    fn of(causes: &'c Causes, whitened: Whitened) -> Self {
+impl<'c, const N: usize> Weighed<'c, N> {
+    fn of(causes: &'c Causes, whitened: Whitened<N>) -> Self {
         let nothing = causes.fit(&whitened, &[]);
         let mut weighed = Weighed {
             causes,
@@ -158,13 +202,26 @@ impl<'c> Weighed<'c> {
             distance: nothing.distance,
         };
         let mut best = weighed.none;
-        for (index, (cell, [prior, _])) in causes.cells.iter().zip(&causes.priors).enumerate() {
-            let fit = causes.fit(&weighed.whitened, &[cell]);
+        let mut tried = Tried::NONE;
+        // What a leak's law leaves lies along its response; the rest of the change is the other cause's, and so is what its law leaves.
+        let leak = causes.leaks.first().map(|leak| &causes.cells[*leak]).map(|leak| {
+            let unit = weighed.unit(leak);
+            let [along, left] = weighed.whitened.parted(&unit);
+            (unit, leak.error * leak.error * along, left)
+        });
+        for (index, (cell, [prior, beside])) in causes.cells.iter().zip(&causes.priors).enumerate() {
+            let laid = causes.lay(&weighed.whitened, &[cell]);
+            let fit = laid.moments.fit(weighed.whitened.count);
             let weight = prior + fit.log_likelihood;
             weighed.alone[index] = weight;
             weighed.note(&mut best, weight, &fit);
+            if let Some((unit, of_leak, left)) = leak.as_ref().filter(|_| causes.adds_to_a_leak(cell)) {
+                let errors = of_leak + cell.error * cell.error * left;
+                let moments = laid.beside(unit, 1.0 + errors / weighed.whitened.count as f64);
+                tried.take(index, beside + moments.fit(weighed.whitened.count).log_likelihood);
+            }
         }
-        weighed.weigh_pairs(&mut best);
+        weighed.weigh_pairs(&tried, &mut best);
         best = best.max(causes.share_by_priors(&mut weighed.alone));
         weighed.normalise(best);
         weighed
@@ -177,39 +234,51 @@ impl<'c> Weighed<'c> {
         }
     }
 
-    /// Cells of other causes that do best whatever the seal does, each beside every cell of the seal.
-    fn weigh_pairs(&mut self, best: &mut f64) {
+    /// Cells of other causes that do best whatever the seal does, each beside leaks, where such a pair can have any weight.
+    fn weigh_pairs(&mut self, tried: &Tried, best: &mut f64) {
         let causes = self.causes;
-        let leaks = || causes.cells.iter().enumerate().filter(|(_, cell)| cell.is_seal && cell.size > 0.0);
-        let Some((leak, error)) = leaks().map(|(_, cell)| (self.unit(cell), cell.error)).next() else {
-            return;
-        };
-        let mut tried = [(f64::NEG_INFINITY, 0); TRIED_BESIDE];
-        for (index, cell) in causes.cells.iter().enumerate().filter(|(_, cell)| causes.adds_to_a_leak(cell)) {
-            let fit = causes.fit_beside(&self.whitened, &[cell], Some((&leak, error)));
-            let weight = causes.priors[index][1] + fit.log_likelihood;
-            if weight > tried[TRIED_BESIDE - 1].0 {
-                let at = tried.partition_point(|(other, _)| *other >= weight);
-                tried[at..].rotate_right(1);
-                tried[at] = (weight, index);
-            }
-        }
-        for (weight, other) in tried {
-            if weight == f64::NEG_INFINITY {
-                break;
-            }
-            for (seal, leak) in leaks() {
-                let fit = causes.fit(&self.whitened, &[leak, &causes.cells[other]]);
-                let log_weight = causes.priors[seal][1] + causes.priors[other][1] + fit.log_likelihood;
-                self.note(best, log_weight, &fit);
-                self.keep(Pair { seal, other, log_weight });
+        let of_leak = causes.leaks.first().map_or(f64::NEG_INFINITY, |leak| causes.priors[*leak][1]);
+        let mut place = causes.leaks.len() / 2;
+        for (weight, other) in tried.0 {
+            if weight + of_leak > *best + WORTH_TRYING {
+                place = self.weigh_beside_leaks(other, place, best);
             }
         }
     }
 
+    /// Weighs a cell of another cause beside leaks, from one of a size on towards larger and towards smaller ones, as far as they have any weight: it rises to
+    /// one size and falls from there. Gives the place of the likeliest leak.
+    fn weigh_beside_leaks(&mut self, other: usize, from: usize, best: &mut f64) -> usize {
+        let causes = self.causes;
+        let (mut likeliest, mut place) = (f64::NEG_INFINITY, from);
+        let (smaller, larger) = causes.leaks.split_at(from);
+        let larger = larger.iter().enumerate().map(|(at, leak)| (from + at, *leak));
+        let smaller = smaller.iter().copied().enumerate().rev();
+        let mut walk = |leaks: &mut dyn Iterator<Item = (usize, usize)>| {
+            let mut in_vain = 0;
+            for (at, seal) in leaks {
+                let fit = causes.fit(&self.whitened, &[&causes.cells[seal], &causes.cells[other]]);
+                let log_weight = causes.priors[seal][1] + causes.priors[other][1] + fit.log_likelihood;
+                self.note(best, log_weight, &fit);
+                self.keep(Pair { seal, other, log_weight });
+                if log_weight > likeliest {
+                    (likeliest, place) = (log_weight, at);
+                }
+                in_vain = if log_weight < likeliest + NEGLIGIBLE { in_vain + 1 } else { 0 };
+                // Leaks of two laws lie between each other.
+                if in_vain == 2 {
+                    break;
+                }
+            }
+        };
+        walk(&mut larger.into_iter());
+        walk(&mut smaller.into_iter());
+        place
+    }
+
     /// A cell's mean as a whitened direction of length 1.
-    fn unit(&self, cell: &Cell) -> Vector {
-        let mut unit = [0.0; MAX_NUMBERS];
+    fn unit(&self, cell: &Cell) -> [f64; N] {
+        let mut unit = [0.0; N];
         let values = self.causes.mean_of(cell).iter().zip(&self.whitened.weights);
         for (slot, (value, weight)) in unit.iter_mut().zip(values) {
             *slot = value * weight;
@@ -260,11 +329,14 @@ impl<'c> Weighed<'c> {
 
     fn explanation(&self) -> Explanation {
         let mut tallies = [Tally::default(); MAX_KINDS];
-        let mut seal = 0.0;
+        let (mut seal, mut of_other_law) = (0.0, Tally::default());
         self.each(|weight, cells| {
             let fit = self.causes.fit(&self.whitened, cells);
             for (cell, size) in cells.iter().zip(fit.sizes(cells)) {
                 tallies[cell.kind].add(weight, size);
+                if cell.has_other_law {
+                    of_other_law.add(weight, size);
+                }
                 seal += if cell.is_seal { weight } else { 0.0 };
             }
             if let [cell] = cells {
@@ -281,6 +353,7 @@ impl<'c> Weighed<'c> {
             seal,
             probability,
             distance: self.distance,
+            leak_of_other_law: of_other_law.of_leaks(seal),
             other: other.and_then(|(kind, beside)| Some((*self.causes.kinds.get(kind)?, beside))),
             response,
             candidates,
@@ -307,7 +380,7 @@ impl<'c> Weighed<'c> {
     }
 
     /// Mean of a kind's response over the hypotheses with it, alone or beside the seal, in the phases' means and rises.
-    fn response(&self, kind: usize, beside: bool) -> Vector {
+    fn response(&self, kind: usize, beside: bool) -> [f64; MAX_NUMBERS] {
         let causes = self.causes;
         let (mut sum, mut total) = ([0.0; MAX_NUMBERS], 0.0);
         self.each(|weight, cells| {

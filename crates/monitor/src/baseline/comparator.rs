@@ -1,6 +1,7 @@
 //! Compares each cycle with the baseline.
 
 use seepd_features::ValidCycle;
+use seepd_features::segment::MAX_PHASES;
 use seepd_model::causes::{Cause, ChangeVerdict};
 use seepd_model::{Comparison, Estimate, Model, Relative, RelativeEstimate};
 use serde::Serialize;
@@ -164,24 +165,41 @@ impl BaselineComparator {
             let is_sure = explained.agreeing >= cause::TOLD_AFTER;
             return cause::leak_beyond_training(explanation, *plain).filter(|_| is_sure);
         }
+        let present = cycle.statistics.phase_means();
+        let given = |present: &[f64]| {
+            let baseline = &self.baseline.mean;
+            Some(compare(
+                relative,
+                baseline,
+                present.get(..relative.phases())?,
+                load_change,
+                cycle.statistics.noise,
+            ))
+        };
+        let mut of_mean = [0.0; MAX_PHASES];
+        let changes = self.baseline.mean.iter().zip(self.tracker.mean_change());
+        for (slot, (before, change)) in of_mean.iter_mut().zip(changes) {
+            *slot = before + change;
+        }
+        if explanation.verdict == ChangeVerdict::Named(Cause::PistonSeal, None) {
+            return Some(cause::under_any_law(&explanation.leak_of_other_law, *plain, &given(&of_mean)?));
+        }
         // Beside a leak the other cause must be certain: it would carry the baseline over what nobody knows.
-        let is_open = matches!(
-            explanation.verdict,
-            ChangeVerdict::Unknown | ChangeVerdict::Named(Cause::PistonSeal, None)
-        );
-        let (kind, has_leak) = explanation.other.filter(|_| !is_open)?;
+        let (kind, has_leak) = explanation.other.filter(|_| explanation.verdict != ChangeVerdict::Unknown)?;
         let hides_a_leak = !has_leak && explanation.seal >= cause::IN_DOUBT && !is_beyond_training;
         if hides_a_leak || !cause::is_taken_off(kind, load_change.is_some(), is_beyond_training) {
             return None;
         }
-        let mut present = cycle.statistics.phase_means();
-        for (mean, response) in present.iter_mut().zip(&explanation.response) {
-            *mean -= response;
-        }
-        let baseline = &self.baseline.mean;
-        let present = present.get(..relative.phases())?;
-        let given = compare(relative, baseline, present, load_change, cycle.statistics.noise);
-        let healthy_limit_m2 = relative.kind(load_change.is_some(), baseline).calibration.healthy_limit;
+        let without = |means: &mut [f64]| {
+            means.iter_mut().zip(&explanation.response).for_each(|(mean, response)| *mean -= response);
+        };
+        let mut present = present;
+        without(&mut present);
+        without(&mut of_mean);
+        let law = &explanation.leak_of_other_law;
+        let given = cause::under_any_law(law, given(&present)?, &given(&of_mean)?);
+        let healthy_limit_m2 =
+            relative.kind(load_change.is_some(), &self.baseline.mean).calibration.healthy_limit;
         Some(cause::beside(explanation, has_leak, given, healthy_limit_m2))
     }
 
@@ -196,7 +214,10 @@ impl BaselineComparator {
         let is_unlike = beside.is_none() && plain.out_of_distribution.score > 1.0;
         let estimate = beside.unwrap_or(plain);
         if !is_unlike {
-            self.cusum.take(estimate.leak_residual_m2, &self.limits(relative, load_change.is_some()));
+            let counted =
+                explained.as_ref().map_or(1.0, |explained| cause::share_of_seal(&explained.explanation));
+            let residual_m2 = counted * estimate.leak_residual_m2;
+            self.cusum.take(residual_m2, &self.limits(relative, load_change.is_some()));
             if self.cusum.cycles_since_onset() == 0 {
                 self.trend.clear();
             } else {

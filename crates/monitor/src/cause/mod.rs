@@ -7,7 +7,7 @@ pub mod condition;
 pub mod course;
 mod tracker;
 
-use seepd_model::causes::{Cause, ChangeVerdict, Explanation, Kind, SizeUnit};
+use seepd_model::causes::{Cause, ChangeVerdict, Explanation, Kind, OtherLaw, SizeUnit};
 use seepd_model::{Estimate, RelativeEstimate};
 
 pub use tracker::{Explained, Tracker};
@@ -18,6 +18,10 @@ pub const LISTED_FROM: f64 = 0.01;
 pub const TOLD_AFTER: u64 = 3;
 /// Probability of an explanation that the leak's interval leaves open.
 const LEFT_OPEN: f64 = 0.05;
+/// Standard deviations on either side of an interval of 90 %.
+const Z_90: f64 = 1.645;
+/// Most, and least over 1, that another law makes of a leak: at the pressure differences of strokes and holds, a gap against an orifice.
+const LARGEST_RATIO: f64 = 2.0;
 /// Probability of the seal from which on another cause alone takes nothing off its leak: it could hide one.
 pub(crate) const IN_DOUBT: f64 = 0.2;
 
@@ -29,6 +33,16 @@ pub const fn name_of(verdict: ChangeVerdict) -> &'static str {
         ChangeVerdict::CannotTell => "cannot_tell",
         ChangeVerdict::Unknown => "unknown",
     }
+}
+
+/// How much of a leak residual counts as one: all of it where a leak explains the cycles as well as other causes do, the less the more these do better.
+/// A change that is too small to be named yet is no leak only because it moves the command as one would.
+pub(crate) fn share_of_seal(explanation: &Explanation) -> f64 {
+    against(explanation.seal, explanation.without_seal() - explanation.none)
+}
+
+fn against(seal: f64, others: f64) -> f64 {
+    (seal / others.max(f64::MIN_POSITIVE)).min(1.0)
 }
 
 /// Whether a cause's response is taken off the phases' means before the leak is sized. The comparison knows load, oil and supply as conditions by itself, as far
@@ -50,6 +64,31 @@ pub(crate) fn leak_beyond_training(
     let interval = seal.interval90.map(|end| end.max(0.0));
     let estimate = Estimate { value: seal.size, interval, ..plain.estimate };
     Some(RelativeEstimate { estimate, leak_residual_m2: seal.size, ..plain })
+}
+
+/// A leak whose law may be another than the estimate has learned. `of_mean` is the estimate of the mean of cycles that has been explained: what other
+/// laws make of that in the mean, weighed by their probability, holds for the cycle `now`.
+pub(crate) fn under_any_law(
+    law: &OtherLaw,
+    now: RelativeEstimate,
+    of_mean: &RelativeEstimate,
+) -> RelativeEstimate {
+    let OtherLaw { probability, size, deviation } = *law;
+    let known = of_mean.estimate;
+    let is_like_training = now.out_of_distribution.score <= 1.0 && of_mean.out_of_distribution.score <= 1.0;
+    if probability < LEFT_OPEN || !is_like_training || !(known.value > 0.0 && size > 0.0) {
+        return now;
+    }
+    let square = |value: f64| value * value;
+    let known_deviation = 0.5 * (known.interval[1] - known.interval[0]) / Z_90;
+    let value = (1.0 - probability) * known.value + probability * size;
+    let variance = (1.0 - probability) * (square(known_deviation) + square(known.value - value))
+        + probability * (square(deviation) + square(size - value));
+    let ratio = (value / known.value).clamp(1.0 / LARGEST_RATIO, LARGEST_RATIO);
+    let half = Z_90 * variance.sqrt() / known.value;
+    let interval = [ratio - half, ratio + half].map(|share| (share * now.estimate.value).max(0.0));
+    let estimate = Estimate { value: ratio * now.estimate.value, interval, ..now.estimate };
+    RelativeEstimate { estimate, leak_residual_m2: ratio * now.leak_residual_m2, ..now }
 }
 
 /// The leak beside a cause whose response was taken off: none in an explanation without the seal; the interval has what other explanations leave open.
@@ -75,4 +114,51 @@ pub(crate) fn beside(
     let estimate = Estimate { value, interval: [lowest, own_high.max(high)], ..given.estimate };
     let leak_residual_m2 = if is_like_training { given.leak_residual_m2 } else { value };
     RelativeEstimate { estimate, leak_residual_m2, ..given }
+}
+
+#[cfg(test)]
+mod tests {
+    use seepd_model::OutOfDistribution;
+    use seepd_model::relative::MAX_CHANGES;
+
+    use super::*;
+
+    fn estimate(value: f64, interval: [f64; 2]) -> RelativeEstimate {
+        RelativeEstimate {
+            estimate: Estimate { value, spread: 0.0, interval, transformed: 0.0 },
+            leak_residual_m2: value,
+            contributions_m2: [0.0; MAX_CHANGES],
+            out_of_distribution: OutOfDistribution { score: 0.0, most_unusual: 0 },
+        }
+    }
+
+    /// Half an orifice's 1 mm² ± 0.1, half a gap's 1.4 ± 0.2: 1.2 in the mean, with the variance of both and of their distance. It holds for the mean, and by
+    /// the share for a cycle that has grown since.
+    #[test]
+    fn analytic_a_leak_of_two_laws_is_their_mixture() {
+        let law = OtherLaw { probability: 0.5, size: 1.4e-6, deviation: 0.2e-6 };
+        let of_mean = estimate(1e-6, [1e-6 - Z_90 * 0.1e-6, 1e-6 + Z_90 * 0.1e-6]);
+        let given = under_any_law(&law, estimate(2e-6, [1.8e-6, 2.2e-6]), &of_mean);
+        assert!((given.estimate.value / 2.4e-6 - 1.0).abs() < 1e-9, "{}", given.estimate.value);
+        let half = Z_90 * (0.5 * (0.01 + 0.04) + 0.5 * (0.04 + 0.04_f64)).sqrt();
+        let [low, high] = given.estimate.interval.map(|end| end / 2e-6);
+        assert!((low - (1.2 - half)).abs() < 1e-9 && (high - (1.2 + half)).abs() < 1e-9, "{low} {high}");
+        assert!((given.leak_residual_m2 / 2.4e-6 - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn neutral_a_leak_of_the_law_that_was_learned_stays_as_it_was() {
+        let now = estimate(2e-6, [1.8e-6, 2.2e-6]);
+        for probability in [0.0, 0.04] {
+            let law = OtherLaw { probability, size: 3e-6, deviation: 1e-7 };
+            assert_eq!(under_any_law(&law, now, &now), now);
+        }
+    }
+
+    #[test]
+    fn what_other_causes_explain_better_counts_less_as_a_leak() {
+        assert_eq!(against(0.3, 0.2), 1.0);
+        assert_eq!(against(0.0, 0.0), 0.0);
+        assert!((against(0.05, 0.2) - 0.25).abs() < 1e-12);
+    }
 }

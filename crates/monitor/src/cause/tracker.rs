@@ -85,6 +85,11 @@ impl Tracker {
         Some(Explained { explanation, agreeing: self.agreeing, changed: self.changed, mean_of })
     }
 
+    /// Mean change of the phases' means over the cycles since the last change, in the phases' order; beyond these, of their rises.
+    pub fn mean_change(&self) -> &[f64] {
+        &self.mean
+    }
+
     fn gather(&mut self, causes: &Causes, numbers: &[f64; MAX_NUMBERS], noise: f64) {
         let mut difference = *numbers;
         for (value, mean) in difference.iter_mut().zip(&self.mean) {

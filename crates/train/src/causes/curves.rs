@@ -16,10 +16,16 @@ pub(super) struct Curve {
     pub(super) kind: Kind,
     /// Ends of the ranges, magnitudes ascending; signed.
     ends: Vec<f64>,
+    /// Of a leak: whether it follows another law than that of the estimates' training.
+    pub(super) other_law: bool,
     apply: Apply,
 }
 
+/// Error of a response, over its length, under a law that nobody has simulated.
 const RESPONSE_ERROR: f64 = 0.2;
+/// The same of leaks, of which every law between an orifice and a gap is simulated.
+const LEAK_ERROR: f64 = 0.05;
+/// The same of what shifts the null: it moves every sample alike, on every machine.
 const EXACT_ERROR: f64 = 0.01;
 
 type Apply = Box<dyn Fn(&mut Observation, f64, &mut Noise) + Sync>;
@@ -36,9 +42,13 @@ impl Curve {
         [end(self.ends.first()), end(self.ends.last())]
     }
 
-    /// Error of the simulator's response, over its length. What shifts the null moves every sample alike, on every machine.
+    /// Error of the simulator's response, over its length.
     pub(super) fn error(&self) -> f64 {
-        if self.kind.cause == Cause::ValveNull { EXACT_ERROR } else { RESPONSE_ERROR }
+        match self.kind.cause {
+            Cause::ValveNull => EXACT_ERROR,
+            Cause::PistonSeal => LEAK_ERROR,
+            _ => RESPONSE_ERROR,
+        }
     }
 
     /// A machine with the cause at a rank of 0 … 1 of a range, and the size.
@@ -113,7 +123,12 @@ impl Curves {
         ends: Vec<f64>,
         apply: impl Fn(&mut Observation, f64, &mut Noise) + Sync + 'static,
     ) {
-        self.0.push(Curve { kind: Kind { cause, side: None, unit }, ends, apply: Box::new(apply) });
+        self.0.push(Curve {
+            kind: Kind { cause, side: None, unit },
+            ends,
+            other_law: false,
+            apply: Box::new(apply),
+        });
     }
 
     /// The cause with either sign.
@@ -137,6 +152,9 @@ fn seal(curves: &mut Curves, valve: f64) {
         machine.leak_area_m2 += size;
         set(machine, "turbulent_leak", "exponent", noise.uniform(0.65, 1.0));
     });
+    if let Some(curve) = curves.0.last_mut() {
+        curve.other_law = true;
+    }
 }
 
 fn valve_causes(curves: &mut Curves, valve: f64) {

@@ -219,7 +219,8 @@ fn learn_from(
         if (responses.len() as f64) < LEAST_FOUND * machines as f64 {
             continue;
         }
-        let cell = cell(curve, basis, responses);
+        let mut cell = cell(curve, basis, responses);
+        cell.other_law &= !simulator.settings.conditions.unknown_seal;
         if curve.kind.cause == Cause::PistonSeal {
             cells.push(reversed(&cell));
         }
@@ -310,6 +311,7 @@ fn cell(curve: &Curve, basis: &Basis, responses: &[Response]) -> CellFile {
         + spread_of(&eigen.eigenvalues);
     CellFile {
         kind: curve.kind,
+        other_law: curve.other_law,
         size,
         size_loadings,
         size_rest: (variance - explained).max(0.0).sqrt(),
