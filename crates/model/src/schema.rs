@@ -331,7 +331,7 @@ pub struct RelativeGolden {
 /// The change δ of the phases' means and rises, as `z = B δ`, has noise of variance σ² in each coordinate, where the command's has σ², and of what load,
 /// oil and supply ordinarily do the variance `ordinary`, in no two coordinates together. With the weights `w = 1/√(σ² + ordinary)` a cell's likelihood is
 /// normal about `w·mean`, with covariance `1 + error² |w·z|²/n` in each of the n coordinates, and that of its directions. Means of two cells add, and so do
-/// their errors, that of the seal then of its own `|w·mean|² + Σ |w·direction|²`, that of the other of what the seal's mean and directions leave of `w·z`.
+/// their errors, that of the seal then of its own `|w·mean|² + Σ |w·direction|²`, that of the other of what the seal's mean leaves of `w·z`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CausesFile {

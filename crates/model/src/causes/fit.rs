@@ -69,18 +69,6 @@ fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
     (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
-/// Squared length of what directions leave of a vector.
-fn left<const N: usize>(vector: &[f64; N], directions: &[[f64; N]]) -> f64 {
-    let mut rest = *vector;
-    for direction in directions {
-        let along = dot(&rest, direction) / dot(direction, direction).max(f64::MIN_POSITIVE);
-        for (value, direction) in rest.iter_mut().zip(direction) {
-            *value -= along * direction;
-        }
-    }
-    dot(&rest, &rest)
-}
-
 impl Causes {
     /// The change in coordinates in which noise and ordinary variation together have variance 1.
     pub(super) fn whitened<const N: usize>(&self, change: &Change<'_>) -> Whitened<N> {
@@ -142,7 +130,7 @@ impl Causes {
             // The last cell's response is what the cell before it leaves of the change, or most of it: its error goes by that, whichever cell it is.
             let is_last = place + 1 == cells.len();
             let mean = whitened.weighted(self.mean_of(cell));
-            let mut length = if is_last { left(&rest, &directions[..rank]) } else { dot(&mean, &mean) };
+            let mut length = if is_last { dot(&rest, &rest) } else { dot(&mean, &mean) };
             for (value, mean) in rest.iter_mut().zip(&mean) {
                 *value -= mean;
             }
