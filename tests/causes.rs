@@ -131,6 +131,25 @@ fn a_leak_beside_a_shifted_null_is_sized_within_its_interval() {
     }
 }
 
+/// Oil lost outside from the cap chamber moves the command much as a null shift towards − does, and a leak's law bends its response: which of the two is
+/// beside a leak shows in how well a law that training has simulated fits.
+#[test]
+fn what_is_beside_a_leak_is_told_from_what_looks_like_it() {
+    let place = &*PLACE;
+    let beside: [(&str, f64, &[&str]); 3] = [
+        ("external_leak", 1.0, &["external_leak.cap_m3_per_s_pa=6.25e-13"]),
+        ("external_leak", 1.0, &["external_leak.cap_m3_per_s_pa=3e-12"]),
+        ("valve_null", 1.0, &["valve_bias.offset=-0.005", "turbulent_leak.exponent=0.8"]),
+    ];
+    for (index, (cause, leak_lpm, with)) in beside.into_iter().enumerate() {
+        let lines = place.after(&format!("like-{index}"), leak_lpm, with);
+        let last = cycles(&lines).last().unwrap();
+        assert_eq!((&last["cause"], &last["cause_also"]), (&"piston_seal".into(), &cause.into()), "{last}");
+        let [low, high] = [0, 1].map(|end| last["interval90_m2"][end].as_f64().unwrap());
+        assert!((low..=high).contains(&(leak_lpm * LPM_M2)), "{with:?}: {low:e} … {high:e}");
+    }
+}
+
 /// The change is told once, with its size, in words; a cycle's line has the first cycle that showed it.
 #[test]
 fn a_condition_is_told_once_as_it_is_found_with_what_to_do() {

@@ -332,6 +332,7 @@ pub struct RelativeGolden {
 /// oil and supply ordinarily do the variance `ordinary`, in no two coordinates together. With the weights `w = 1/√(σ² + ordinary)` a cell's likelihood is
 /// normal about `w·mean`, with covariance `1 + error² |w·z|²/n` in each of the n coordinates, and that of its directions. Means of two cells add, and so do
 /// their errors, that of the seal then of its own `|w·mean|² + Σ |w·direction|²`, that of the other of what the seal's mean leaves of `w·z`.
+/// An error of 0.2 and more is that of a law that nobody has simulated: the likelihood is the mean of that with it and of that with `error² − 0.2² + 0.05²`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CausesFile {

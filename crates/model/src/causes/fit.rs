@@ -15,10 +15,22 @@ pub(super) struct Whitened<const N: usize> {
 }
 
 impl<const N: usize> Whitened<N> {
-    /// Squared length of the change along a direction of length 1, and beside it.
-    pub(super) fn parted(&self, direction: &[f64; N]) -> [f64; 2] {
-        let along = dot(&self.change, direction);
-        [along * along, (dot(&self.change, &self.change) - along * along).max(0.0)]
+    /// Squared length of the change along directions of length 1, at right angles, and beside them.
+    pub(super) fn parted(&self, directions: &[[f64; N]]) -> [f64; 2] {
+        let along: f64 =
+            directions.iter().map(|direction| dot(&self.change, direction)).map(|along| along * along).sum();
+        [along, (dot(&self.change, &self.change) - along).max(0.0)]
+    }
+
+    /// Directions of length 1, at right angles, that span two rows of numbers; 0 where there is nothing left to span.
+    pub(super) fn span(&self, [first, second]: [&[f64]; 2]) -> [[f64; N]; 2] {
+        let first = of_length_1(self.weighted(first));
+        let mut second = self.weighted(second);
+        let along = dot(&first, &second);
+        for (value, first) in second.iter_mut().zip(&first) {
+            *value -= along * first;
+        }
+        [first, of_length_1(second)]
     }
 
     /// Numbers in these coordinates.
@@ -56,6 +68,11 @@ impl Fit {
         }
         sizes
     }
+}
+
+fn of_length_1<const N: usize>(vector: [f64; N]) -> [f64; N] {
+    let length = libm::sqrt(dot(&vector, &vector)).max(f64::MIN_POSITIVE);
+    vector.map(|value| value / length)
 }
 
 fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
@@ -125,7 +142,7 @@ impl Causes {
     pub(super) fn lay<const N: usize>(&self, whitened: &Whitened<N>, cells: &[&Cell]) -> Laid<N> {
         let mut rest = whitened.change;
         let mut directions = [[0.0; N]; MOST_DIRECTIONS];
-        let (mut rank, mut scale) = (0, 1.0);
+        let (mut rank, mut scale, mut simulated) = (0, 1.0, 1.0);
         for (place, cell) in cells.iter().enumerate() {
             // The last cell's response is what the cell before it leaves of the change, or most of it: its error goes by that, whichever cell it is.
             let is_last = place + 1 == cells.len();
@@ -142,7 +159,9 @@ impl Causes {
                 directions[rank] = direction;
                 rank += 1;
             }
-            scale += cell.error * cell.error * length / whitened.count as f64;
+            let length = length / whitened.count as f64;
+            scale += cell.error * cell.error * length;
+            simulated += cell.simulated_error_squared() * length;
         }
         let (mut products, mut along) = ([[0.0; MOST_DIRECTIONS]; MOST_DIRECTIONS], [0.0; MOST_DIRECTIONS]);
         for i in 0..rank {
@@ -151,7 +170,7 @@ impl Causes {
                 products[i][j] = dot(&directions[i], &directions[j]);
             }
         }
-        let moments = Moments { square: dot(&rest, &rest), along, products, rank, scale };
+        let moments = Moments { square: dot(&rest, &rest), along, products, rank, scale, simulated };
         Laid { rest, directions, moments }
     }
 }
@@ -164,23 +183,41 @@ pub(super) struct Laid<const N: usize> {
 }
 
 impl<const N: usize> Laid<N> {
-    /// What is left of them in all coordinates beside a direction of length 1, with a variance of its own.
-    pub(super) fn beside(&self, direction: &[f64; N], scale: f64) -> Moments {
+    /// What is left of them beside directions of length 1, at right angles, with a variance of its own.
+    pub(super) fn beside(&self, directions: &[[f64; N]], [scale, simulated]: [f64; 2]) -> Moments {
         let mut moments = self.moments;
-        let mut shares = [0.0; MOST_DIRECTIONS];
-        for (share, own) in shares.iter_mut().zip(&self.directions).take(moments.rank) {
-            *share = dot(own, direction);
-        }
-        let rest = dot(&self.rest, direction);
-        moments.square -= rest * rest;
-        for i in 0..moments.rank {
-            moments.along[i] -= shares[i] * rest;
-            for j in 0..=i {
-                moments.products[i][j] -= shares[i] * shares[j];
+        for direction in directions {
+            let mut shares = [0.0; MOST_DIRECTIONS];
+            for (share, own) in shares.iter_mut().zip(&self.directions).take(moments.rank) {
+                *share = dot(own, direction);
+            }
+            let rest = dot(&self.rest, direction);
+            moments.square -= rest * rest;
+            for i in 0..moments.rank {
+                moments.along[i] -= shares[i] * rest;
+                for j in 0..=i {
+                    moments.products[i][j] -= shares[i] * shares[j];
+                }
             }
         }
-        moments.scale = scale;
+        (moments.scale, moments.simulated) = (scale, simulated);
         moments
+    }
+}
+
+/// Error of a response, over its length, that cells have for laws that nobody has simulated, and what of it is left where a law has been.
+const UNKNOWN_LAW: f64 = 0.2;
+const KNOWN_LAW: f64 = 0.05;
+
+impl Cell {
+    /// Square of the error where the law is one of those that training has simulated.
+    pub(super) fn simulated_error_squared(&self) -> f64 {
+        let error = self.error * self.error;
+        if self.error < UNKNOWN_LAW {
+            error
+        } else {
+            error - UNKNOWN_LAW * UNKNOWN_LAW + KNOWN_LAW * KNOWN_LAW
+        }
     }
 }
 
@@ -193,14 +230,27 @@ pub(super) struct Moments {
     along: [f64; MOST_DIRECTIONS],
     products: Factor,
     rank: usize,
-    /// Variance of a coordinate that the directions leave.
+    /// Variance of a coordinate that the directions leave, and the same where the law is one of those that training has simulated.
     scale: f64,
+    simulated: f64,
 }
 
 impl Moments {
-    /// Fits, in so many coordinates.
+    /// Fits, in so many coordinates: half of all causes follow a law that training has simulated, half another. The likelier of both says the sizes.
     pub(super) fn fit(&self, n: usize) -> Fit {
-        let Moments { square, mut along, products: mut factor, rank, scale } = *self;
+        let any = self.fit_with(n, self.scale);
+        if self.simulated >= self.scale {
+            return any;
+        }
+        let simulated = self.fit_with(n, self.simulated);
+        let (likelier, other) =
+            if simulated.log_likelihood > any.log_likelihood { (simulated, any) } else { (any, simulated) };
+        let both = 0.5 * (1.0 + libm::exp(other.log_likelihood - likelier.log_likelihood));
+        Fit { log_likelihood: likelier.log_likelihood + libm::log(both), distance: any.distance, ..likelier }
+    }
+
+    fn fit_with(&self, n: usize, scale: f64) -> Fit {
+        let Moments { square, mut along, products: mut factor, rank, .. } = *self;
         for (i, row) in factor.iter_mut().enumerate().take(rank) {
             row[i] += scale;
         }
@@ -261,4 +311,43 @@ fn size(
     solve(factor, rank, &mut solved);
     let spread: f64 = loadings.iter().zip(&solved).map(|(a, b)| a * b).sum();
     (cell.size + moved, scale * spread + cell.rest * cell.rest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn moments(square: f64, scale: f64, simulated: f64) -> Moments {
+        Moments {
+            square,
+            along: [0.0; MOST_DIRECTIONS],
+            products: [[0.0; MOST_DIRECTIONS]; MOST_DIRECTIONS],
+            rank: 0,
+            scale,
+            simulated,
+        }
+    }
+
+    /// Normal likelihoods of four coordinates with variances 9 and 4, half each.
+    #[test]
+    fn analytic_a_law_is_one_that_was_simulated_or_another() {
+        let given = moments(20.0, 9.0, 4.0).fit(4).log_likelihood;
+        let density = |variance: f64| libm::exp(-0.5 * 20.0 / variance) / (variance * variance);
+        assert!((given - libm::log(0.5 * (density(9.0) + density(4.0)))).abs() < 1e-12, "{given}");
+    }
+
+    #[test]
+    fn neutral_a_response_without_such_an_error_has_one_likelihood() {
+        let of_one = moments(20.0, 4.0, 4.0);
+        assert_eq!(of_one.fit(4).log_likelihood, of_one.fit_with(4, 4.0).log_likelihood);
+    }
+
+    /// Beside the directions that span a leak of any size nothing is left of one.
+    #[test]
+    fn directions_of_length_1_span_both_rows() {
+        let whitened = Whitened { count: 4, weights: [2.0; 4], change: [6.0, 2.0, 0.0, 1.0] };
+        let directions = whitened.span([&[1.0, 0.0, 0.0, 0.0], &[1.0, 1.0, 0.0, 0.0]]);
+        assert_eq!(directions, [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]);
+        assert_eq!(whitened.parted(&directions), [40.0, 1.0]);
+    }
 }

@@ -120,6 +120,17 @@ impl Tried {
     }
 }
 
+/// A leak of any size, beside which other causes are tried.
+#[derive(Clone, Copy)]
+struct AnyLeak<const N: usize> {
+    /// Directions of length 1, at right angles, that span its response.
+    directions: [[f64; N]; 2],
+    /// Squared length of what its law may leave.
+    error: f64,
+    /// Squared length of the change beside the directions.
+    left: f64,
+}
+
 /// Sums over the hypotheses with a kind.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
@@ -203,21 +214,18 @@ impl<'c, const N: usize> Weighed<'c, N> {
         };
         let mut best = weighed.none;
         let mut tried = Tried::NONE;
-        // What a leak's law leaves lies along its response; the rest of the change is the other cause's, and so is what its law leaves.
-        let leak = causes.leaks.first().map(|leak| &causes.cells[*leak]).map(|leak| {
-            let unit = weighed.unit(leak);
-            let [along, left] = weighed.whitened.parted(&unit);
-            (unit, leak.error * leak.error * along, left)
-        });
+        let leak = weighed.any_leak();
         for (index, (cell, [prior, beside])) in causes.cells.iter().zip(&causes.priors).enumerate() {
             let laid = causes.lay(&weighed.whitened, &[cell]);
             let fit = laid.moments.fit(weighed.whitened.count);
             let weight = prior + fit.log_likelihood;
             weighed.alone[index] = weight;
             weighed.note(&mut best, weight, &fit);
-            if let Some((unit, of_leak, left)) = leak.as_ref().filter(|_| causes.adds_to_a_leak(cell)) {
-                let errors = of_leak + cell.error * cell.error * left;
-                let moments = laid.beside(unit, 1.0 + errors / weighed.whitened.count as f64);
+            if let Some(AnyLeak { directions, error, left }) = leak.filter(|_| causes.adds_to_a_leak(cell)) {
+                let count = weighed.whitened.count as f64;
+                let scales = [cell.error * cell.error, cell.simulated_error_squared()]
+                    .map(|own| 1.0 + (error + own * left) / count);
+                let moments = laid.beside(&directions, scales);
                 tried.take(index, beside + moments.fit(weighed.whitened.count).log_likelihood);
             }
         }
@@ -276,15 +284,15 @@ impl<'c, const N: usize> Weighed<'c, N> {
         place
     }
 
-    /// A cell's mean as a whitened direction of length 1.
-    fn unit(&self, cell: &Cell) -> [f64; N] {
-        let mut unit = [0.0; N];
-        let values = self.causes.mean_of(cell).iter().zip(&self.whitened.weights);
-        for (slot, (value, weight)) in unit.iter_mut().zip(values) {
-            *slot = value * weight;
-        }
-        let length = libm::sqrt(unit.iter().map(|value| value * value).sum::<f64>()).max(f64::MIN_POSITIVE);
-        unit.map(|value| value / length)
+    /// What leaks of any size do: a leak's response turns as it grows, so that the smallest one and one of a middle size span it. What the law leaves lies
+    /// along it; the rest of the change is another cause's, and so is what that one's law leaves.
+    fn any_leak(&self) -> Option<AnyLeak<N>> {
+        let leaks = &self.causes.leaks;
+        let smallest = &self.causes.cells[*leaks.first()?];
+        let middle = &self.causes.cells[*leaks.get(leaks.len() / 2)?];
+        let directions = self.whitened.span([smallest, middle].map(|leak| self.causes.mean_of(leak)));
+        let [along, left] = self.whitened.parted(&directions);
+        Some(AnyLeak { directions, error: smallest.error * smallest.error * along, left })
     }
 
     /// Keeps a pair in the place of the least likely one.

@@ -23,17 +23,25 @@ pub(super) struct Curve {
 
 /// Error of a response, over its length, under a law that nobody has simulated.
 const RESPONSE_ERROR: f64 = 0.2;
-/// The same of leaks, of which every law between an orifice and a gap is simulated.
-const LEAK_ERROR: f64 = 0.05;
+/// The same of leaks, of which an orifice's law and those of gaps are simulated.
+const LEAK_ERROR: f64 = 0.03;
 /// The same of what shifts the null: it moves every sample alike, on every machine.
 const EXACT_ERROR: f64 = 0.01;
+
+/// How far a range of leaks reaches over each end, as a power of the ratio of its ends: (√3 − 1)/2. Sizes then scatter by half the distance of neighbouring
+/// ranges' means, and normals of that width add up to an even density: no law of a leak is likelier only because a size lies in the middle of its range.
+const OVERLAP: f64 = 0.366;
 
 type Apply = Box<dyn Fn(&mut Observation, f64, &mut Noise) + Sync>;
 
 impl Curve {
-    /// The ranges of sizes.
+    /// The ranges of sizes. Those of leaks reach over their ends.
     pub(super) fn ranges(&self) -> impl Iterator<Item = [f64; 2]> + '_ {
-        self.ends.windows(2).map(|ends| [ends[0], ends[1]])
+        let overlap = if self.kind.cause == Cause::PistonSeal { OVERLAP } else { 0.0 };
+        self.ends.windows(2).map(move |ends| {
+            let over = libm::pow(ends[1] / ends[0], overlap);
+            [ends[0] / over, ends[1] * over]
+        })
     }
 
     /// Both ends of all ranges.

@@ -221,7 +221,7 @@ fn learn_from(
         }
         let mut cell = cell(curve, basis, responses);
         cell.other_law &= !simulator.settings.conditions.unknown_seal;
-        if curve.kind.cause == Cause::PistonSeal {
+        if curve.kind.cause == Cause::PistonSeal && !curve.other_law {
             cells.push(reversed(&cell));
         }
         cells.push(cell);
