@@ -139,6 +139,43 @@ fn other_parameters_are_no_effect() {
 }
 
 /// The reason of a log that must not be diagnosed.
+/// A short duty cycle whose next stroke begins before the loop has come to rest.
+const RESTLESS: &str = r#"
+[cycle]
+period_s = 1.6
+load = [{ at_s = 0.0, force_n = -2000.0 }, { at_s = 0.6, force_n = -9000.0 }, { at_s = 1.0, force_n = -2000.0 }]
+[[cycle.moves]]
+name = "extend"
+from_s = 0.1
+to_s = 0.55
+to_m = 0.2
+[[cycle.moves]]
+name = "retract"
+from_s = 0.85
+to_s = 1.3
+to_m = 0.1
+"#;
+
+#[test]
+fn a_cycle_that_ends_before_the_loop_has_settled_is_no_gap() {
+    let folder = tempfile::tempdir().unwrap();
+    let (plant, log) = (folder.path().join("plant.toml"), folder.path().join("log.mcap"));
+    fs::write(&plant, RESTLESS).unwrap();
+    let of_plant = ["--plant", text_of(&plant)];
+    let exact = [&of_plant[..], &["--cycles", "12", "--leak-area", "2e-7", "--seed", "3"]].concat();
+    simulate(&log, &exact);
+    assert_eq!(diagnose(&log, &of_plant)["verdict"], "no_gap");
+
+    let consumer = ["flow_m3_per_s=0.0005", "start_s=0.4", "duration_s=0.4"];
+    let consumer = consumer.map(|value| format!("shared_supply.{value}"));
+    let with = consumer.iter().flat_map(|value| ["--with", value]);
+    let log = folder.path().join("consumer.mcap");
+    simulate(&log, &exact.iter().copied().chain(with).collect::<Vec<_>>());
+    let found = diagnose(&log, &of_plant);
+    assert_eq!(found["chosen"], serde_json::json!(["shared_supply"]), "{found:#}");
+    assert!(found["shrink"]["of_removable"].as_f64().unwrap() > 0.95, "{found:#}");
+}
+
 fn reason(log: &Path) -> String {
     let found = diagnose(log, &[]);
     assert_consistent(&found);

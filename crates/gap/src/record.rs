@@ -4,7 +4,7 @@ use seepd_signals::Signal;
 use seepd_sim::SensorError;
 use seepd_sim::cycle::DriveSample;
 
-use crate::simulate::{Drive, bins_of};
+use crate::simulate::{Drive, bins_of, cycles_to_forget};
 use crate::simulated_axis::SimulatedAxis;
 
 /// RMS difference from the median cycle, over the signal's range, above which a cycle is of another kind.
@@ -333,6 +333,8 @@ impl Record {
         let range = ranges(&cycles, signals.len());
         let floor = floors(&cycles, &range);
         plausible(&signals, &cycles, spec)?;
+        let cycles_before = cycles_to_forget(spec, &cycles[0].drive, &signals, &range);
+        cycles.iter_mut().for_each(|cycle| cycle.drive.cycles_before = cycles_before);
         Ok(Record { signals, cycles, range, floor, notes, is_open_loop: false, test: None })
     }
 

@@ -306,7 +306,7 @@ fn drive_of<A: SimulatedAxis>(group: &[Piece<'_>], ticks: usize, spec: &A) -> Dr
         p_cap_pa: begins(Signal::PCap),
         p_rod_pa: begins(Signal::PRod),
     };
-    Drive { samples, start: Some(start) }
+    Drive { samples, start: Some(start), cycles_before: 0 }
 }
 
 /// That the same command moves all pistons of a group alike.
