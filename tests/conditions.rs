@@ -125,8 +125,16 @@ fn run(machines: &[(u64, Stretch, Option<Baseline>)], offset: impl Fn(f64) -> f6
         .collect()
 }
 
-/// A healthy machine's baselines, oil at 45 °C.
+/// Baselines of the first eight machines, which most tests begin with.
+static BASELINES: LazyLock<Vec<(u64, Baseline)>> = LazyLock::new(|| learned(LANES as u64));
+
 fn baselines(machines: u64) -> Vec<(u64, Baseline)> {
+    let known = BASELINES.get(..machines as usize);
+    known.map_or_else(|| learned(machines), <[_]>::to_vec)
+}
+
+/// Healthy machines' baselines, oil at 45 °C.
+fn learned(machines: u64) -> Vec<(u64, Baseline)> {
     let stretch = Stretch { oil_c: 45.0, supply: 1.0, cycles: LEARNED + 1 };
     let all: Vec<_> = (0..machines).map(|number| (number, stretch, None)).collect();
     let learned = run(&all, |_| 0.0);
