@@ -16,8 +16,9 @@ pub enum KnownConditions {
 }
 
 impl Causes {
-    /// Least standard deviation of a small leak's area, m², of the law that estimates have learned, by one that knows nothing but the numbers; `None` of a model without. `noise` is the
-    /// standard deviation of the noise left on the command in the change: a cycle's times √(1/cycles + 1/baseline cycles).
+    /// Least standard deviation of a small leak's area, m², of the law that estimates have learned, by an estimate that knows nothing but the
+    /// numbers; `None` of a model without such leaks. `noise` is the standard deviation of the noise left on the command in the change: a
+    /// cycle's times √(1/cycles + 1/baseline cycles).
     pub fn least_leak_deviation_m2(&self, noise: f64, conditions: KnownConditions) -> Option<f64> {
         let mut leaks = self.leaks.iter().map(|leak| &self.cells[*leak]);
         let cell = leaks.find(|cell| !cell.has_other_law)?;

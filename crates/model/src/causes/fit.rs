@@ -76,6 +76,7 @@ fn of_length_1<const N: usize>(vector: [f64; N]) -> [f64; N] {
 }
 
 fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+    const { assert!(N.is_multiple_of(4)) };
     // Four sums side by side: additions wait for each other otherwise.
     let mut sums = [0.0; 4];
     for (a, b) in a.as_chunks::<4>().0.iter().zip(b.as_chunks::<4>().0) {

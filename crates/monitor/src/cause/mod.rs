@@ -18,6 +18,8 @@ pub const LISTED_FROM: f64 = 0.01;
 pub const TOLD_AFTER: u64 = 3;
 /// Probability of an explanation that the leak's interval leaves open.
 const LEFT_OPEN: f64 = 0.05;
+/// Probability from which a leak is sized by another law than the estimate has learned.
+const CERTAIN: f64 = 1.0 - LEFT_OPEN;
 /// Standard deviations on either side of an interval of 90 %.
 const Z_90: f64 = 1.645;
 /// Most, and least over 1, that another law makes of a leak: at the pressure differences of strokes and holds, a gap against an orifice.
@@ -67,7 +69,8 @@ pub(crate) fn leak_beyond_training(
 }
 
 /// A leak whose law may be another than the estimate has learned. `of_mean` is the estimate of the mean of cycles that has been explained: what other
-/// laws make of that in the mean, weighed by their probability, holds for the cycle `now`.
+/// laws make of that in the mean holds for the cycle `now`. The size follows another law once that is certain; until then the interval
+/// has what is open.
 pub(crate) fn under_any_law(
     law: &OtherLaw,
     now: RelativeEstimate,
@@ -81,14 +84,15 @@ pub(crate) fn under_any_law(
     }
     let square = |value: f64| value * value;
     let known_deviation = 0.5 * (known.interval[1] - known.interval[0]) / Z_90;
-    let value = (1.0 - probability) * known.value + probability * size;
+    let value = if probability < CERTAIN { known.value } else { size };
     let variance = (1.0 - probability) * (square(known_deviation) + square(known.value - value))
         + probability * (square(deviation) + square(size - value));
     let ratio = (value / known.value).clamp(1.0 / LARGEST_RATIO, LARGEST_RATIO);
     let half = Z_90 * variance.sqrt() / known.value;
     let interval = [ratio - half, ratio + half].map(|share| (share * now.estimate.value).max(0.0));
     let estimate = Estimate { value: ratio * now.estimate.value, interval, ..now.estimate };
-    RelativeEstimate { estimate, leak_residual_m2: ratio * now.leak_residual_m2, ..now }
+    let contributions_m2 = now.contributions_m2.map(|part| ratio * part);
+    RelativeEstimate { estimate, leak_residual_m2: ratio * now.leak_residual_m2, contributions_m2, ..now }
 }
 
 /// The leak beside a cause whose response was taken off: none in an explanation without the seal; the interval has what other explanations leave open.
@@ -132,18 +136,25 @@ mod tests {
         }
     }
 
-    /// Half an orifice's 1 mm² ± 0.1, half a gap's 1.4 ± 0.2: 1.2 in the mean, with the variance of both and of their distance. It holds for the mean, and by
-    /// the share for a cycle that has grown since.
+    /// An orifice's 1 mm² ± 0.1 or a gap's 1.4 ± 0.2. In doubt it is the orifice's, with the variance of both and of their distance from it;
+    /// a certain gap's is 1.4. It holds for the mean, and by the share for a cycle that has grown since.
     #[test]
-    fn analytic_a_leak_of_two_laws_is_their_mixture() {
-        let law = OtherLaw { probability: 0.5, size: 1.4e-6, deviation: 0.2e-6 };
+    fn analytic_a_leak_follows_another_law_once_that_is_certain() {
         let of_mean = estimate(1e-6, [1e-6 - Z_90 * 0.1e-6, 1e-6 + Z_90 * 0.1e-6]);
-        let given = under_any_law(&law, estimate(2e-6, [1.8e-6, 2.2e-6]), &of_mean);
-        assert!((given.estimate.value / 2.4e-6 - 1.0).abs() < 1e-9, "{}", given.estimate.value);
-        let half = Z_90 * (0.5 * (0.01 + 0.04) + 0.5 * (0.04 + 0.04_f64)).sqrt();
-        let [low, high] = given.estimate.interval.map(|end| end / 2e-6);
-        assert!((low - (1.2 - half)).abs() < 1e-9 && (high - (1.2 + half)).abs() < 1e-9, "{low} {high}");
-        assert!((given.leak_residual_m2 / 2.4e-6 - 1.0).abs() < 1e-9);
+        for (probability, size, variance) in
+            [(0.5, 1.0, 0.5 * 0.01 + 0.5 * (0.04 + 0.16)), (1.0, 1.4, 0.04_f64)]
+        {
+            let law = OtherLaw { probability, size: 1.4e-6, deviation: 0.2e-6 };
+            let given = under_any_law(&law, estimate(2e-6, [1.8e-6, 2.2e-6]), &of_mean);
+            assert!((given.estimate.value / (2e-6 * size) - 1.0).abs() < 1e-9, "{}", given.estimate.value);
+            let half = Z_90 * variance.sqrt();
+            let [low, high] = given.estimate.interval.map(|end| end / 2e-6);
+            assert!(
+                (low - (size - half)).abs() < 1e-9 && (high - (size + half)).abs() < 1e-9,
+                "{low} {high}"
+            );
+            assert!((given.leak_residual_m2 / (2e-6 * size) - 1.0).abs() < 1e-9);
+        }
     }
 
     #[test]

@@ -219,8 +219,9 @@ fn learn_from(
         if (responses.len() as f64) < LEAST_FOUND * machines as f64 {
             continue;
         }
-        let mut cell = cell(curve, basis, responses);
-        cell.other_law &= !simulator.settings.conditions.unknown_seal;
+        let is_calibrated = simulator.settings.conditions.unknown_seal;
+        let mut cell = cell(curve, basis, responses, curve.error(is_calibrated));
+        cell.other_law &= !is_calibrated;
         if curve.kind.cause == Cause::PistonSeal && !curve.other_law {
             cells.push(reversed(&cell));
         }
@@ -262,7 +263,7 @@ fn reversed(cell: &CellFile) -> CellFile {
 }
 
 /// Mean and principal directions of responses.
-fn cell(curve: &Curve, basis: &Basis, responses: &[Response]) -> CellFile {
+fn cell(curve: &Curve, basis: &Basis, responses: &[Response], error: f64) -> CellFile {
     let count = responses.len() as f64;
     let rows: Vec<Vec<f64>> = responses.iter().map(|response| basis.coordinates(&response.numbers)).collect();
     let n = basis.ordinary.len();
@@ -315,7 +316,7 @@ fn cell(curve: &Curve, basis: &Basis, responses: &[Response]) -> CellFile {
         size,
         size_loadings,
         size_rest: (variance - explained).max(0.0).sqrt(),
-        error: (curve.error() * curve.error() + left / length.max(1e-12)).sqrt().min(LARGEST_ERROR),
+        error: (error * error + left / length.max(1e-12)).sqrt().min(LARGEST_ERROR),
         mean: mean.iter().map(|value| *value as f32).collect(),
         directions,
     }
