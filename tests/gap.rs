@@ -138,29 +138,10 @@ fn other_parameters_are_no_effect() {
     assert!((k_v / 9.5e-7 - 1.0).abs() < 0.02, "{k_v}");
 }
 
-/// The reason of a log that must not be diagnosed.
-/// A short duty cycle whose next stroke begins before the loop has come to rest.
-const RESTLESS: &str = r#"
-[cycle]
-period_s = 1.6
-load = [{ at_s = 0.0, force_n = -2000.0 }, { at_s = 0.6, force_n = -9000.0 }, { at_s = 1.0, force_n = -2000.0 }]
-[[cycle.moves]]
-name = "extend"
-from_s = 0.1
-to_s = 0.55
-to_m = 0.2
-[[cycle.moves]]
-name = "retract"
-from_s = 0.85
-to_s = 1.3
-to_m = 0.1
-"#;
-
 #[test]
 fn a_cycle_that_ends_before_the_loop_has_settled_is_no_gap() {
     let folder = tempfile::tempdir().unwrap();
-    let (plant, log) = (folder.path().join("plant.toml"), folder.path().join("log.mcap"));
-    fs::write(&plant, RESTLESS).unwrap();
+    let (plant, log) = (fixture("short_cycle_press.toml"), folder.path().join("log.mcap"));
     let of_plant = ["--plant", text_of(&plant)];
     let exact = [&of_plant[..], &["--cycles", "12", "--leak-area", "2e-7", "--seed", "3"]].concat();
     simulate(&log, &exact);
@@ -176,6 +157,7 @@ fn a_cycle_that_ends_before_the_loop_has_settled_is_no_gap() {
     assert!(found["shrink"]["of_removable"].as_f64().unwrap() > 0.95, "{found:#}");
 }
 
+/// The reason of a log that must not be diagnosed.
 fn reason(log: &Path) -> String {
     let found = diagnose(log, &[]);
     assert_consistent(&found);

@@ -14,21 +14,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-PLANT = """
-[cycle]
-period_s = 1.6
-load = [{ at_s = 0.0, force_n = -2000.0 }, { at_s = 0.6, force_n = -9000.0 }, { at_s = 1.0, force_n = -2000.0 }]
-[[cycle.moves]]
-name = "extend"
-from_s = 0.1
-to_s = 0.55
-to_m = 0.2
-[[cycle.moves]]
-name = "retract"
-from_s = 0.85
-to_s = 1.3
-to_m = 0.1
-"""
+PLANT = Path(__file__).parents[2] / "tests/fixtures/short_cycle_press.toml"
 WITHIN = 0.05
 
 
@@ -79,7 +65,7 @@ def main():
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         native, exported = folder / "press.toml", folder / "simulator.toml"
-        native.write_text("" if arguments.logs else PLANT)
+        native.write_text("" if arguments.logs else PLANT.read_text())
         library = ["--library", arguments.library] if arguments.library else []
         subprocess.run([seepd, "export-fmu", "--plant", native, "--out", folder / "press.fmu", "--emit-plant", exported,
                         *library], check=True, stdout=subprocess.DEVNULL)
