@@ -206,18 +206,19 @@ impl<const N: usize> Laid<N> {
     }
 }
 
-/// Error of a response, over its length, that cells have for laws that nobody has simulated, and what of it is left where a law has been.
-const UNKNOWN_LAW: f64 = 0.2;
-const KNOWN_LAW: f64 = 0.05;
+/// Error of a response, over its length, that cells have for laws that nobody has simulated.
+pub const UNKNOWN_LAW_ERROR: f64 = 0.2;
+/// What of it is left where a law has been.
+const KNOWN_LAW_ERROR: f64 = 0.05;
 
 impl Cell {
     /// Square of the error where the law is one of those that training has simulated.
     pub(super) fn simulated_error_squared(&self) -> f64 {
         let error = self.error * self.error;
-        if self.error < UNKNOWN_LAW {
+        if self.error < UNKNOWN_LAW_ERROR {
             error
         } else {
-            error - UNKNOWN_LAW * UNKNOWN_LAW + KNOWN_LAW * KNOWN_LAW
+            error - UNKNOWN_LAW_ERROR * UNKNOWN_LAW_ERROR + KNOWN_LAW_ERROR * KNOWN_LAW_ERROR
         }
     }
 }

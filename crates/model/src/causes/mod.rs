@@ -22,6 +22,7 @@ use crate::model::agree;
 use crate::schema::{CausesFile, CausesGolden};
 
 pub use bound::KnownConditions;
+pub use fit::UNKNOWN_LAW_ERROR;
 pub use verdict::{Candidate, ChangeVerdict, Explanation, OtherLaw};
 
 /// Most numbers that a change has: mean and rise of each phase.

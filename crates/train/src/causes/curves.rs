@@ -3,7 +3,7 @@
 //! To add one: a line in [`all`], which says what it is by effects of the catalogue; a name in
 //! [`Cause`](seepd_model::causes::Cause), where it is new.
 
-use seepd_model::causes::{Cause, Kind, Side, SizeUnit};
+use seepd_model::causes::{Cause, Kind, Side, SizeUnit, UNKNOWN_LAW_ERROR};
 use seepd_sim::MachineSpec;
 use seepd_sim::effects;
 use seepd_sim::noise::Noise;
@@ -21,15 +21,14 @@ pub(super) struct Curve {
     apply: Apply,
 }
 
-/// Error of a response, over its length, under a law that nobody has simulated.
-const RESPONSE_ERROR: f64 = 0.2;
-/// The same of leaks, of which an orifice's law and those of gaps are simulated.
+/// Error of the response of leaks, over its length, of which an orifice's law and those of gaps are simulated.
 const LEAK_ERROR: f64 = 0.03;
 /// The same of what shifts the null: it moves every sample alike, on every machine.
 const EXACT_ERROR: f64 = 0.01;
 
-/// How far a range of leaks reaches over each end, as a power of the ratio of its ends: (√3 − 1)/2. Sizes then scatter by half the distance of neighbouring
-/// ranges' means, and normals of that width add up to an even density: no law of a leak is likelier only because a size lies in the middle of its range.
+/// How far a range of leaks reaches over each end, as a power of the ratio of its ends: (√3 − 1)/2. Sizes then scatter by half the distance
+/// of neighbouring ranges' means, and normals of that width add up to an even density: no law of a leak is likelier only because a size
+/// lies in the middle of its range.
 const OVERLAP: f64 = 0.366;
 
 type Apply = Box<dyn Fn(&mut Observation, f64, &mut Noise) + Sync>;
@@ -56,7 +55,7 @@ impl Curve {
         match self.kind.cause {
             Cause::ValveNull => EXACT_ERROR,
             Cause::PistonSeal if !is_calibrated => LEAK_ERROR,
-            _ => RESPONSE_ERROR,
+            _ => UNKNOWN_LAW_ERROR,
         }
     }
 

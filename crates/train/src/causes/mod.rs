@@ -213,15 +213,14 @@ fn learn_from(
     Responses { learned, held_out }: &Responses,
 ) -> Option<CausesFile> {
     let machines = simulator.settings.cause_machines;
+    let is_calibrated = simulator.settings.conditions.unknown_seal;
     let mut cells: Vec<CellFile> = Vec::new();
     for (number, responses) in learned {
         let curve = &curves[*number];
         if (responses.len() as f64) < LEAST_FOUND * machines as f64 {
             continue;
         }
-        let is_calibrated = simulator.settings.conditions.unknown_seal;
-        let mut cell = cell(curve, basis, responses, curve.error(is_calibrated));
-        cell.other_law &= !is_calibrated;
+        let cell = cell(curve, basis, responses, is_calibrated);
         if curve.kind.cause == Cause::PistonSeal && !curve.other_law {
             cells.push(reversed(&cell));
         }
@@ -263,7 +262,7 @@ fn reversed(cell: &CellFile) -> CellFile {
 }
 
 /// Mean and principal directions of responses.
-fn cell(curve: &Curve, basis: &Basis, responses: &[Response], error: f64) -> CellFile {
+fn cell(curve: &Curve, basis: &Basis, responses: &[Response], is_calibrated: bool) -> CellFile {
     let count = responses.len() as f64;
     let rows: Vec<Vec<f64>> = responses.iter().map(|response| basis.coordinates(&response.numbers)).collect();
     let n = basis.ordinary.len();
@@ -310,9 +309,11 @@ fn cell(curve: &Curve, basis: &Basis, responses: &[Response], error: f64) -> Cel
     }
     let length: f64 = mean.iter().zip(&weights).map(|(value, weight)| (value * weight).powi(2)).sum::<f64>()
         + spread_of(&eigen.eigenvalues);
+    let error = curve.error(is_calibrated);
     CellFile {
         kind: curve.kind,
-        other_law: curve.other_law,
+        // Estimates of a plant that a log was calibrated to have learned seals of every law.
+        other_law: curve.other_law && !is_calibrated,
         size,
         size_loadings,
         size_rest: (variance - explained).max(0.0).sqrt(),
