@@ -27,12 +27,21 @@ const VARIABLES: [(&str, &str, &str); 8] = [
 ];
 
 fn description(version: u32) -> String {
-    let units =
-        [("1", ""), ("N", "kg=\"1\" m=\"1\" s=\"-2\""), ("mm", "m=\"1\" factor=\"0.001\""), ("m", "m=\"1\"")];
+    let units = [
+        ("1", ""),
+        ("N", "kg=\"1\" m=\"1\" s=\"-2\""),
+        ("mm", "m=\"1\" factor=\"0.001\""),
+        ("m", "m=\"1\""),
+        ("m/s", "m=\"1\" s=\"-1\""),
+        ("s", "s=\"1\""),
+    ];
     let units = units.map(|(name, base)| format!("<Unit name=\"{name}\"><BaseUnit {base}/></Unit>")).concat();
-    let start = |causality: &str| if causality == "output" { "" } else { "start=\"0\"" };
     let variable = |(reference, (name, causality, unit)): (usize, &(&str, &str, &str))| {
-        let start = start(causality);
+        let start = match (*name, *causality) {
+            (_, "output") => "",
+            ("valve.lag", _) => "start=\"0\" min=\"0\" max=\"0.1\"",
+            _ => "start=\"0\"",
+        };
         let common = format!("name=\"{name}\" valueReference=\"{reference}\" causality=\"{causality}\"");
         match version {
             2 => format!("<ScalarVariable {common}><Real unit=\"{unit}\" {start}/></ScalarVariable>"),
@@ -293,6 +302,13 @@ fn files_that_map_no_fmu_are_refused_in_a_line() {
         ("\"cylinder.s\"", "\"cylinder.ss\"", "did you mean `cylinder.s`?"),
         ("\"command_in\"", "\"valve.gain\"", "fmu.inputs.command"),
         ("\"valve.gain\" =", "\"valve.gian\" =", "did you mean `valve.gain`?"),
+        ("\"start\"", "\"strat\"", "fmu.start_position: unknown key `strat`; did you mean `start`?"),
+        ("\"start\"", "\"valve.lag\"", "`valve.lag` is in s, and fmu.start_position is asked in m"),
+        (
+            "\"cylinder.s\"",
+            "\"cylinder.v\"",
+            "`cylinder.v` is in m/s, and fmu.outputs.position is asked in m",
+        ),
         ("command = \"command_in\"", "demand = \"command_in\"", "fmu.inputs has no command"),
         ("position = \"cylinder.s\", ", "", "fmu.outputs has no position"),
         ("[fmu]", "[process]\ncommand = [\"true\"]\nexchange = \"step\"\n[fmu]", "there are two simulators"),
@@ -302,8 +318,30 @@ fn files_that_map_no_fmu_are_refused_in_a_line() {
             assert!(text.contains(from), "{from}");
             text.replacen(from, to, 1)
         });
-        let output = seepd(["gap", text_of(&log), "--plant", text_of(&plant)]);
-        assert_eq!(output.status.code(), Some(78), "{to}: {}", stderr(&output));
-        assert!(stderr(&output).contains(expected), "{to}: {}", stderr(&output));
+        for command in
+            [vec!["gap", text_of(&log), "--plant", text_of(&plant)], vec!["check", text_of(&plant)]]
+        {
+            let output = seepd(&command);
+            assert_eq!(output.status.code(), Some(78), "{command:?}: {to}: {}", stderr(&output));
+            assert!(stderr(&output).contains(expected), "{command:?}: {to}: {}", stderr(&output));
+        }
     }
+}
+
+/// What the model may do, and the file lets it go beyond, is a remark; a variable of another unit is taken where its scale is said.
+#[test]
+fn what_a_file_allows_beyond_its_fmu_is_remarked() {
+    let folder = tempfile::tempdir().unwrap();
+    let fmu = fmu(folder.path(), 3);
+    let good = plant(folder.path(), &fmu, |text| text);
+    assert!(!stdout(&seepd(["check", text_of(&good)])).contains("remark"));
+    let bold = plant(folder.path(), &fmu, |text| {
+        text.replace("[parameters]\n", "[parameters]\n\"valve.lag\" = { start = 0.05 }\n")
+            .replace("\"cylinder.v\"", "{ variable = \"valve.gain\", scale = 2.0 }")
+            .replace("load = \"load\"", "load = { variable = \"command_in\", scale = 5e4 }")
+    });
+    let told = stdout(&seepd(["check", text_of(&bold)]));
+    let remark =
+        "remark: parameters: `valve.lag` may become 0.0125 … 0.2, and the model bounds it to 0 … 0.1";
+    assert!(told.contains(remark) && told.lines().count() == 2, "{told}");
 }

@@ -3,7 +3,6 @@
 //! Whoever hosts one is this very program, started again: [`serve`] loads the model, runs the loop around it tick by tick, and answers each run
 //! with one line. What the model prints goes to the standard error, where it cannot spoil an answer.
 
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -16,10 +15,8 @@ use nix::sys::prctl::set_pdeathsig;
 use nix::sys::resource::{Resource, setrlimit};
 use nix::sys::signal::Signal as ProcessSignal;
 use nix::unistd::{dup, dup2_stdout};
-use seepd_fmi::{Causality, Fmu, Instance, InstanceError, ModelDescription, Variable};
+use seepd_fmi::{Causality, Fmu, Instance, InstanceError, ModelDescription};
 use seepd_gap::record::binned;
-use seepd_settings::UnknownKey;
-use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
 use seepd_sim::ports::{PortInput, PortOutput, SteppedPlant};
 use serde::{Deserialize, Serialize};
@@ -28,8 +25,9 @@ use tempfile::TempDir;
 use thiserror::Error;
 
 use crate::child::LineChild;
+use crate::mapping::{FmuMapping, MappingError, named, remarks};
 use crate::simulators::{Hosted, HostedDrive, HostedRun, RunError, around};
-use crate::spec::{FmuSpec, FmuVariable, SimulatorSpec, VELOCITY};
+use crate::spec::SimulatorSpec;
 
 /// Memory that a host may have, bytes: a model that allocates without end must not take the machine's.
 const MOST_MEMORY: u64 = 2 << 30;
@@ -57,15 +55,9 @@ pub enum FmuError {
     /// No place to unpack it.
     #[error("there is no place to unpack the FMU: {0}")]
     Place(std::io::Error),
-    /// A variable that the model does not have.
-    #[error("{}: {unknown}", .key)]
-    Unknown {
-        /// Key in the plant file.
-        key: String,
-        /// The name, with those that there are.
-        #[source]
-        unknown: UnknownKey,
-    },
+    /// A name that the model has not, or has as something else.
+    #[error(transparent)]
+    Mapping(#[from] MappingError),
     /// A value that is no number.
     #[error("the simulator's `{signal}` is no number at {at_s:.3} s")]
     NotANumber {
@@ -86,6 +78,20 @@ pub fn platform() -> String {
         other => other,
     };
     format!("{}-{system}", std::env::consts::ARCH)
+}
+
+/// Holds a plant file against its FMU, of which nothing is run: variables, units, a binary for this machine. Remarks are what is allowed and
+/// should be known.
+///
+/// # Errors
+/// [`FmuError`] for an FMU that `gap` would refuse.
+pub fn check(spec: &SimulatorSpec, file: &Path) -> Result<Vec<String>, FmuError> {
+    let opened = File::open(file).map_err(|error| FmuError::File { file: file.to_owned(), error })?;
+    let archive = |error| FmuError::Archive { file: file.to_owned(), error };
+    let fmu = Fmu::read(opened).map_err(archive)?;
+    fmu.binary(&platform()).map_err(archive)?;
+    FmuMapping::new(spec, &fmu.description)?;
+    Ok(remarks(spec, &fmu.description))
 }
 
 /// An FMU in a folder of its own, which goes when this does.
@@ -195,35 +201,12 @@ fn confined(folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// A variable and the factor from its own unit to ours.
-#[derive(Debug, Clone, Copy)]
-struct Mapped {
-    reference: u32,
-    factor: f64,
-    offset: f64,
-}
-
-impl Mapped {
-    fn ours(&self, value: f64) -> f64 {
-        self.factor * value + self.offset
-    }
-
-    fn its(&self, value: f64) -> f64 {
-        (value - self.offset) / self.factor
-    }
-}
-
 /// A loaded model with its variables.
 struct HostedFmu {
     instance: Instance,
     remake: (PathBuf, PathBuf),
     description: ModelDescription,
-    reference: Mapped,
-    load: Option<Mapped>,
-    outputs: Vec<(Option<Signal>, Mapped)>,
-    start_position: Option<Mapped>,
-    start_time: Option<Mapped>,
-    set: Vec<(u32, f64)>,
+    mapping: FmuMapping,
     now_s: f64,
     fresh: bool,
     parameters: Vec<(u32, f64)>,
@@ -250,68 +233,11 @@ impl HostedFmu {
             std::fs::read_to_string(&file).map_err(|error| FmuError::File { file: file.clone(), error })?;
         let description = ModelDescription::parse(&text)
             .map_err(|error| FmuError::Archive { file, error: seepd_fmi::FmuError::Description(error) })?;
-        let none = FmuSpec {
-            file: PathBuf::new(),
-            inputs: BTreeMap::new(),
-            outputs: BTreeMap::new(),
-            set: BTreeMap::new(),
-            start_position: None,
-            start_time: None,
-            preload: Vec::new(),
-            timeout_s: 0.0,
-        };
-        let fmu = spec.fmu.as_ref().unwrap_or(&none);
-        let mapped = |key: &str, variable: &FmuVariable, causality| {
-            let found = named(&description, key, variable.name(), causality)?;
-            let unit = description.unit_of(found);
-            let scale = variable.scale();
-            Ok::<Mapped, FmuError>(Mapped {
-                reference: found.reference,
-                factor: scale * unit.map_or(1.0, |unit| unit.factor),
-                offset: scale * unit.map_or(0.0, |unit| unit.offset),
-            })
-        };
-        let input = |name: &str| {
-            let variable = fmu.inputs.get(name);
-            variable
-                .map(|variable| mapped(&format!("fmu.inputs.{name}"), variable, Causality::Input))
-                .transpose()
-        };
-        let reference = input(spec.reference())?.unwrap_or(Mapped { reference: 0, factor: 1.0, offset: 0.0 });
-        let load = input("load")?;
-        let mut outputs = Vec::new();
-        for (name, variable) in &fmu.outputs {
-            let signal = if name == VELOCITY { None } else { Signal::from_name(name) };
-            outputs.push((signal, mapped(&format!("fmu.outputs.{name}"), variable, Causality::Output)?));
-        }
-        let start = |key: &str, name: &Option<String>| {
-            let name = name.as_ref().map(|name| FmuVariable::Name(name.clone()));
-            name.map(|name| mapped(key, &name, Causality::Parameter)).transpose()
-        };
-        let start_position = start("fmu.start_position", &fmu.start_position)?;
-        let start_time = start("fmu.start_time", &fmu.start_time)?;
-        let set = fmu.set.iter().map(|(name, value)| {
-            Ok((named(&description, "fmu.set", name, Causality::Parameter)?.reference, *value))
-        });
-        for name in spec.parameters.keys() {
-            named(&description, "parameters", name, Causality::Parameter)?;
-        }
-        for effect in spec.effects.values() {
-            named(&description, "effects", &effect.parameter, Causality::Parameter)?;
-        }
-        for variable in spec.inside.values().flat_map(BTreeMap::values) {
-            named(&description, "inside", variable, Causality::Parameter)?;
-        }
-        let set = set.collect::<Result<Vec<_>, FmuError>>()?;
+        let mapping = FmuMapping::new(spec, &description)?;
         let mut hosted = HostedFmu {
             instance: instance(folder, &hosted.library, &description)?,
             remake: (folder.clone(), hosted.library.clone()),
-            reference,
-            load,
-            outputs,
-            start_position,
-            start_time,
-            set,
+            mapping,
             now_s: 0.0,
             fresh: true,
             parameters: Vec::new(),
@@ -387,11 +313,11 @@ impl HostedFmu {
     }
 
     fn shown(&mut self) -> Result<PortOutput, FmuError> {
-        let references: Vec<u32> = self.outputs.iter().map(|(_, mapped)| mapped.reference).collect();
+        let references: Vec<u32> = self.mapping.outputs.iter().map(|(_, mapped)| mapped.reference).collect();
         let mut values = vec![f64::NAN; references.len()];
         self.instance.get(&references, &mut values)?;
         let mut output = PortOutput::NOTHING;
-        for ((signal, mapped), value) in self.outputs.iter().zip(values) {
+        for ((signal, mapped), value) in self.mapping.outputs.iter().zip(values) {
             match signal {
                 Some(signal) => output.values[*signal as usize] = mapped.ours(value),
                 None => output.velocity_m_per_s = mapped.ours(value),
@@ -422,27 +348,6 @@ fn samples(drive: &HostedDrive, period_s: f64) -> Vec<DriveSample> {
 const MOST_LATENCY: usize = 4;
 const PULSE: f64 = 0.01;
 
-/// A variable by its name, or the nearest names of its kind.
-fn named<'d>(
-    description: &'d ModelDescription,
-    key: &str,
-    name: &str,
-    causality: Causality,
-) -> Result<&'d Variable, FmuError> {
-    let of_kind = |variable: &&Variable| match causality {
-        // What is no input may be set before the start, and read.
-        Causality::Parameter => variable.causality != Causality::Input,
-        Causality::Output => true,
-        other => variable.causality == other,
-    };
-    let found = description.variable(name).filter(of_kind);
-    found.ok_or_else(|| {
-        let known: Vec<&str> =
-            description.variables.iter().filter(of_kind).map(|variable| variable.name.as_str()).collect();
-        FmuError::Unknown { key: key.to_owned(), unknown: UnknownKey::new(name, &known) }
-    })
-}
-
 impl SteppedPlant for HostedFmu {
     type Error = FmuError;
 
@@ -452,16 +357,17 @@ impl SteppedPlant for HostedFmu {
             self.instance = instance(&self.remake.0, &self.remake.1, &self.description)?;
         }
         (self.fresh, self.now_s) = (false, 0.0);
-        for (reference, value) in self.set.iter().chain(&self.parameters) {
+        for (reference, value) in self.mapping.set.iter().chain(&self.parameters) {
             self.instance.set(&[*reference], &[*value])?;
         }
-        for (place, value) in [(&self.start_position, first.demand_m), (&self.start_time, first.at_s)] {
+        let FmuMapping { start_position, start_time, .. } = &self.mapping;
+        for (place, value) in [(start_position, first.demand_m), (start_time, first.at_s)] {
             if let Some(place) = place {
                 self.instance.set(&[place.reference], &[place.its(value)])?;
             }
         }
         self.instance.enter_initialization()?;
-        if let Some(load) = &self.load {
+        if let Some(load) = &self.mapping.load {
             self.instance.set(&[load.reference], &[load.its(first.load_n)])?;
         }
         self.instance.exit_initialization()?;
@@ -469,8 +375,9 @@ impl SteppedPlant for HostedFmu {
     }
 
     fn step(&mut self, input: &PortInput) -> Result<PortOutput, FmuError> {
-        self.instance.set(&[self.reference.reference], &[self.reference.its(input.reference)])?;
-        if let Some(load) = &self.load {
+        let reference = &self.mapping.reference;
+        self.instance.set(&[reference.reference], &[reference.its(input.reference)])?;
+        if let Some(load) = &self.mapping.load {
             self.instance.set(&[load.reference], &[load.its(input.load_n)])?;
         }
         self.instance.step(self.now_s, input.dt_s)?;

@@ -5,6 +5,7 @@ pub mod child;
 pub mod demand;
 pub mod exported;
 pub mod fmu;
+pub mod mapping;
 pub mod parameter_set;
 pub mod proposal;
 pub mod simulators;

@@ -3,14 +3,8 @@
 use seepd_fmi::{Causality, ModelDescription, Variable};
 use seepd_signals::Signal;
 
+use crate::mapping::{Dimension, FORCE, LENGTH, PRESSURE, SHARE, SPEED};
 use crate::spec::VELOCITY;
-
-/// Exponents of kg, m and s of the units by which variables are told apart.
-const LENGTH: [i32; 3] = [0, 1, 0];
-const SPEED: [i32; 3] = [0, 1, -1];
-const FORCE: [i32; 3] = [1, 1, -2];
-const PRESSURE: [i32; 3] = [1, -1, -2];
-const SHARE: [i32; 3] = [0, 0, 0];
 
 /// Parts of names by which two of the same unit are told apart; compared without case, as whole words between other letters.
 const NAMES: [(&str, &[&str]); 9] = [
@@ -29,11 +23,6 @@ const NAMES: [(&str, &[&str]); 9] = [
 enum Guess<'d> {
     Sure(&'d Variable),
     Among(Vec<&'d Variable>),
-}
-
-fn exponents(description: &ModelDescription, variable: &Variable) -> Option<[i32; 3]> {
-    let unit = description.unit_of(variable)?;
-    Some([unit.exponents[0], unit.exponents[1], unit.exponents[2]])
 }
 
 /// Whether a name has one of the parts as a word: letters and digits between other characters, or between small and large letters.
@@ -58,13 +47,13 @@ fn guess<'d>(
     description: &'d ModelDescription,
     name: &str,
     causality: Causality,
-    unit: [i32; 3],
+    unit: Dimension,
 ) -> Option<Guess<'d>> {
     let parts = NAMES.iter().find(|(ours, _)| *ours == name).map_or(&[][..], |(_, parts)| parts);
     let of_kind = description.variables.iter().filter(|variable| variable.causality == causality);
     let mut among: Vec<&Variable> = of_kind
-        .filter(|variable| match exponents(description, variable) {
-            Some(own) => own == unit,
+        .filter(|variable| match description.unit_of(variable) {
+            Some(own) => own.exponents == unit,
             // One that says nothing of its unit is told by its name alone.
             None => is_named(&variable.name, parts),
         })

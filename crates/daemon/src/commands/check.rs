@@ -20,8 +20,9 @@ use crate::sink::terminal::print;
 /// Check plant, model and configuration files
 ///
 /// Names the line, the key and the nearest known key of what is wrong. JSON is a model; TOML with a table `[plant]`, `[controller]`,
-/// `[cycle]`, `[effects]` or `[bounds]` is a plant, with `[[repairs]]` a repair log; other TOML is a configuration. The model and the baseline of a configuration are
-/// checked too, and whether the log that it names has the mapped signals. Every file is checked, even after one that is wrong.
+/// `[cycle]`, `[effects]`, `[bounds]`, `[process]` or `[fmu]` is a plant, with `[[repairs]]` a repair log; other TOML is a configuration.
+/// The model and the baseline of a configuration are checked too, and whether the log that it names has the mapped signals; so are the
+/// variables that a plant file names of its FMU, of which nothing is run. Every file is checked, even after one that is wrong.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd check plant.toml model.json seepd.toml")]
 pub struct CheckArguments {
@@ -104,7 +105,7 @@ fn check(path: &Path) -> (&'static str, Result<Good, Failure>) {
     if text.trim_start().starts_with('{') {
         ("model", check_model(path).map(Good::from))
     } else if is_plant(&text) {
-        ("plant", check_plant(path, &text).map(Good::from))
+        ("plant", check_plant(path, &text))
     } else if text.lines().any(|line| line.trim() == "[[repairs]]") {
         ("repair log", check_repairs(path).map(Good::from))
     } else {
@@ -113,7 +114,7 @@ fn check(path: &Path) -> (&'static str, Result<Good, Failure>) {
 }
 
 fn is_plant(text: &str) -> bool {
-    let tables = ["plant", "controller", "cycle", "effects", "bounds", "process"];
+    let tables = ["plant", "controller", "cycle", "effects", "bounds", "process", "fmu"];
     text.lines().any(|line| {
         let name = line.trim().trim_start_matches('[').split(['.', ']']).next().unwrap_or_default();
         line.trim().starts_with('[') && tables.contains(&name)
@@ -138,23 +139,34 @@ fn check_model(path: &Path) -> Result<String, Failure> {
 }
 
 #[cfg(feature = "gap")]
-fn check_simulator(path: &Path, text: &str) -> Result<String, Failure> {
+fn check_simulator(path: &Path, text: &str) -> Result<Good, Failure> {
     let spec = seepd_simulator::SimulatorSpec::from_toml(text)
         .map_err(|error| Failure::configuration(path, error))?;
-    Ok(format!(
+    let remarks = match &spec.fmu {
+        // A relative name is meant from the plant file.
+        Some(fmu) => {
+            let file = path.parent().unwrap_or(Path::new("")).join(&fmu.file);
+            seepd_simulator::fmu::check(&spec, &file).map_err(|error| Failure::configuration(path, error))?
+        }
+        None => Vec::new(),
+    };
+    let message = format!(
         "simulator of your own, cycle of {} s, {} parameters, {} effects of its own",
         spec.cycle.period_s,
         spec.parameters.len(),
         spec.effects.len()
-    ))
+    );
+    Ok(Good { message, remarks })
 }
 
 #[cfg(feature = "simulate")]
-fn check_plant(path: &Path, text: &str) -> Result<String, Failure> {
+fn check_plant(path: &Path, text: &str) -> Result<Good, Failure> {
     if seepd_sim::electric::ElectricAxis::is_kind(text) {
         let axis = seepd_sim::electric::ElectricAxis::from_toml(text)
             .map_err(|error| Failure::configuration(path, error))?;
-        return Ok(format!("electric axis of {} kg, cycle of {} s", axis.plant.mass_kg, axis.cycle.period_s));
+        return Ok(
+            format!("electric axis of {} kg, cycle of {} s", axis.plant.mass_kg, axis.cycle.period_s).into()
+        );
     }
     #[cfg(feature = "gap")]
     if seepd_simulator::SimulatorSpec::is_kind(text) {
@@ -163,26 +175,17 @@ fn check_plant(path: &Path, text: &str) -> Result<String, Failure> {
     let spec =
         seepd_sim::MachineSpec::from_toml(text).map_err(|error| Failure::configuration(path, error))?;
     let effects: Vec<&str> = spec.effects.keys().map(String::as_str).collect();
-    if spec.controller.is_none() {
-        return Ok(format!(
-            "a machine without a controller, {} RK4 steps per {} s, effects: {}",
-            spec.controller.steps_per_period,
-            spec.controller.period_s,
-            if effects.is_empty() { "none".to_owned() } else { effects.join(", ") }
-        ));
-    }
-    Ok(format!(
-        "cycle of {} s with {} moves, {} RK4 steps per {} s, effects: {}",
-        spec.cycle.period_s,
-        spec.cycle.moves.len(),
-        spec.controller.steps_per_period,
-        spec.controller.period_s,
-        if effects.is_empty() { "none".to_owned() } else { effects.join(", ") }
-    ))
+    let effects = if effects.is_empty() { "none".to_owned() } else { effects.join(", ") };
+    let steps = format!("{} RK4 steps per {} s", spec.controller.steps_per_period, spec.controller.period_s);
+    let moved = match spec.controller.is_none() {
+        true => "a machine without a controller".to_owned(),
+        false => format!("cycle of {} s with {} moves", spec.cycle.period_s, spec.cycle.moves.len()),
+    };
+    Ok(format!("{moved}, {steps}, effects: {effects}").into())
 }
 
 #[cfg(not(feature = "simulate"))]
-fn check_plant(path: &Path, _text: &str) -> Result<String, Failure> {
+fn check_plant(path: &Path, _text: &str) -> Result<Good, Failure> {
     Err(Failure::new(
         Code::Usage,
         format!("{}: this build has no simulator and cannot check plant files", path.display()),
