@@ -41,10 +41,16 @@ fn by_whole_path(folder: &Path, text: &str) -> String {
 
 /// A log of the electric axis, which is written apart from the documents' simulator, with a friction.
 fn log(folder: &Path, friction_n: f64) -> PathBuf {
+    log_with(folder, friction_n, 0.0)
+}
+
+/// The same with a force that is always there.
+fn log_with(folder: &Path, friction_n: f64, weight_n: f64) -> PathBuf {
     let plant = fs::read_to_string(fixture("../../docs/electric-axis.toml")).unwrap();
     let mut axis = ElectricAxis::from_toml(&plant).unwrap();
     axis.plant.mass_kg *= 1.04;
     axis.effects.entry("coulomb_friction".into()).or_default().insert("force_n".into(), friction_n);
+    axis.effects.entry("force_offset".into()).or_default().insert("force_n".into(), weight_n);
     let ticks = (axis.cycle.period_s / axis.controller.period_s).round() as usize;
     let schedule = Schedule::new(&axis.cycle, axis.controller.period_s, Vec::new());
     let drive: Vec<DriveSample> = schedule.take(4 * ticks).collect();
@@ -97,6 +103,31 @@ fn a_program_of_the_users_is_diagnosed_by_its_own_effects() {
     let again = diagnosis(&log, &emitted, &[]);
     assert!(["no_gap", "parameters"].contains(&again["verdict"].as_str().unwrap()), "{again}");
     assert!(stdout(&seepd(["check", text_of(&emitted)])).contains("simulator"));
+}
+
+/// Searches that begin at either of two effects end with both: one explanation, and nothing for a test to tell.
+#[test]
+fn two_effects_in_either_order_are_one_explanation() {
+    if !python() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let plant = simulator(folder.path(), |text| text);
+    let found = diagnosis(&log_with(folder.path(), 20.4, 8.0), &plant, &["--next-test"]);
+    assert_eq!(found["chosen"].as_array().map(Vec::len), Some(2), "{found}");
+    let sorted = |name: &Value| {
+        let mut effects: Vec<&str> = name.as_str().unwrap().split(" + ").collect();
+        effects.sort_unstable();
+        effects.join(" + ")
+    };
+    match found["next_test"]["explanations"].as_array() {
+        Some(explanations) => {
+            let names: std::collections::BTreeSet<String> =
+                explanations.iter().map(|explanation| sorted(&explanation[0])).collect();
+            assert_eq!(names.len(), explanations.len(), "{explanations:?}");
+        }
+        None => assert!(notes(&found).contains("no test is proposed"), "{found}"),
+    }
 }
 
 #[test]

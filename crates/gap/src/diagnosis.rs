@@ -343,6 +343,19 @@ impl<A: SimulatedAxis> RankedExplanations<A> {
         self.machines().filter_map(instead).collect()
     }
 
+    /// Each set of effects once, with its most likely machine and the probability of all: searches that began at either of two effects may end
+    /// with the same two, which no test tells from themselves.
+    fn sets_of_effects(&self) -> Vec<(&Explanation<A>, f64)> {
+        let mut sets: Vec<(&Explanation<A>, f64)> = Vec::new();
+        for (explanation, probability) in &self.explanations {
+            match sets.iter_mut().find(|(other, _)| other.has_the_effects_of(explanation)) {
+                Some((_, sum)) => *sum += probability,
+                None => sets.push((explanation, *probability)),
+            }
+        }
+        sets
+    }
+
     fn machines(&self) -> impl Iterator<Item = &Explanation<A>> {
         self.explanations.iter().map(|(explanation, _)| explanation)
     }
@@ -442,11 +455,11 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
     fn next_test(&self) -> Option<NextTest> {
         let ranked = self.ranked;
         let mut candidates: Vec<NextTestCandidate<'_, A>> = ranked
-            .explanations
-            .iter()
+            .sets_of_effects()
+            .into_iter()
             .map(|(explanation, probability)| NextTestCandidate {
                 name: explanation.effects.iter().map(|effect| effect.key).collect::<Vec<_>>().join(" + "),
-                probability: *probability,
+                probability,
                 spec: &explanation.fit.spec,
                 fit: &explanation.fit,
             })

@@ -24,6 +24,11 @@ impl<A: SimulatedAxis> Explanation<A> {
         self.effects.iter().any(|effect| effect.key == key)
     }
 
+    /// Whether both have the same effects, whichever was found first.
+    pub(crate) fn has_the_effects_of(&self, other: &Self) -> bool {
+        self.effects.len() == other.effects.len() && other.effects.iter().all(|effect| self.has(effect.key))
+    }
+
     /// Parameters of its effects.
     pub(crate) fn parameters(&self) -> usize {
         self.effects.iter().map(|effect| effect.parameters.len()).sum()

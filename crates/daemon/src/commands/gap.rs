@@ -271,6 +271,11 @@ fn diagnosed_on<A: PlantFile>(
     })?;
     diagnosis.notes.extend(notes);
     diagnosis.notes.extend(spec.notes());
+    if settings.next_test && diagnosis.next_test.is_none() {
+        diagnosis
+            .notes
+            .push("no test is proposed: no other explanation is likely enough to be told from".into());
+    }
     let test_files = next_test::files(&machine, diagnosis.next_test.as_ref());
     // Runs are foretold by the machine as it is.
     let machine =
