@@ -236,3 +236,41 @@ impl<R: Read> Source for CsvSource<R> {
         unreadable.into_iter().chain(spread).collect()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_that_cannot_be_used_say_why() {
+        for (row, told) in [
+            (&b"0"[..], "column 2 is missing"),
+            (b"0,\xff", "column 2 is not text"),
+            (b"0,oops", "`oops` is not a number"),
+            (b",0", "the time is missing"),
+            (b"nan,0", "the time is missing"),
+            (b"soon,0", "`soon` is not a number"),
+            (b"0,\"1", "a quote is opened and not closed"),
+        ] {
+            let log = [b"t_s,command\n", row, b"\n"].concat();
+            let mut source = CsvSource::new(&*log, "log", &LogMapping::default()).unwrap();
+            assert_eq!(
+                source.next_sample().unwrap_err().to_string(),
+                format!("log: none of the 1 rows can be used; the first of them is at line 2: {told}")
+            );
+        }
+    }
+
+    #[test]
+    fn a_text_that_cannot_be_read_says_why() {
+        struct Torn;
+        impl Read for Torn {
+            fn read(&mut self, _: &mut [u8]) -> std::io::Result<usize> {
+                Err(std::io::Error::other("the disk is gone"))
+            }
+        }
+        let error = CsvSource::new(Torn, "log", &LogMapping::default()).err().unwrap();
+        assert_eq!(error.to_string(), "log: the disk is gone");
+        assert!(matches!(error, LogError::Data { .. }));
+    }
+}

@@ -410,3 +410,64 @@ fn one_line(error: &DbcError) -> String {
         None => format!("this is not a DBC file: {what}"),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(messages: &str, name: &str) -> String {
+        let file = format!("VERSION \"\"\n\nBU_: A\n\n{messages}");
+        Dbc::parse(file.as_bytes(), "dbc").unwrap().find(name).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn signals_that_are_not_found_say_what_there_is() {
+        let two = "BO_ 1 One: 8 A\n SG_ Valve : 0|8@1+ (1,0) [0|1] \"\" A\n\nBO_ 2 Two: 8 A\n SG_ Valve : 0|8@1+ (1,0) [0|1] \"\" A\n";
+        let signals: String =
+            (0..10).map(|n| format!(" SG_ S{n}{n}{n} : 0|8@1+ (1,0) [0|1] \"\" A\n")).collect();
+        let ten = format!("BO_ 1 M: 8 A\n{signals}");
+        for (messages, name, told) in [
+            (two, "Valv", "dbc: there is no signal `Valv`; did you mean `Valve`?"),
+            (two, "Valve", "dbc: several messages have a signal `Valve`; write One.Valve or Two.Valve"),
+            ("BO_ 1 One: 8 A\n", "Valve", "dbc: there is no signal `Valve`; the file has no signals at all"),
+            (two, "Temperature", "dbc: there is no signal `Temperature`; the file has One.Valve, Two.Valve"),
+            (
+                &ten,
+                "Temperature",
+                "dbc: there is no signal `Temperature`; the file has M.S000, M.S111, M.S222, M.S333, M.S444, M.S555, M.S666, M.S777 \
+                 and 2 more",
+            ),
+        ] {
+            assert_eq!(refused(messages, name), told);
+        }
+    }
+
+    #[test]
+    fn signals_that_cannot_be_read_say_why() {
+        for (messages, told) in [
+            (
+                "BO_ 3000 M: 8 A\n SG_ S : 0|8@1+ (1,0) [0|1] \"\" A\n",
+                "is in the message M, whose identifier cannot occur on a CAN bus",
+            ),
+            ("BO_ 1 M: 8 A\n SG_ S : 0|65@1+ (1,0) [0|1] \"\" A\n", "has 65 bits; Unsigned has 1 … 64"),
+            (
+                "BO_ 1 M: 1 A\n SG_ S : 8|8@1+ (1,0) [0|1] \"\" A\n",
+                "ends in byte 2 of the message M, which has 1 bytes",
+            ),
+            (
+                "BO_ 1 M: 8 A\n SG_ S m1 : 0|8@1+ (1,0) [0|1] \"\" A\n",
+                "is multiplexed, but its message has no multiplexer",
+            ),
+            (
+                "BO_ 1 M: 8 A\n SG_ X M : 8|65@1+ (1,0) [0|1] \"\" A\n SG_ S m1 : 0|8@1+ (1,0) [0|1] \"\" A\n",
+                "has 65 bits; Unsigned has 1 … 64",
+            ),
+            (
+                "BO_ 1 M: 8 A\n SG_ S m1M : 0|8@1+ (1,0) [0|1] \"\" A\n\nSG_MUL_VAL_ 1 S S 1-1;\n",
+                "is multiplexed by itself, or more than 64 levels deep",
+            ),
+        ] {
+            assert_eq!(refused(messages, "S"), format!("dbc: the signal `S` {told}"));
+        }
+    }
+}
