@@ -6,7 +6,7 @@ use std::io::Read;
 use seepd_signals::{Sample, Signal};
 
 use super::Source;
-use super::rows::Row;
+use super::rows::{Row, RowError};
 use super::table::{Table, number};
 use super::table_time::{TablePlace, TableTime};
 use crate::error::LogError;
@@ -62,7 +62,7 @@ impl<R: Read> CsvSource<R> {
         let places = mapping.places();
         let names: Vec<&str> =
             places.iter().map(|(_, place)| &*place.field).chain([&*mapping.time_column]).collect();
-        let table = Table::new(input, &names).map_err(|what| LogError::data(name, what))?;
+        let table = Table::new(input, &names).map_err(|error| LogError::data(name, error.to_string()))?;
         let signals: Vec<Column> = places
             .iter()
             .filter_map(|(signal, place)| {
@@ -118,13 +118,13 @@ impl<R: Read> CsvSource<R> {
             self.held.end();
             return Ok(false);
         };
-        let sample = row.map_err(str::to_owned).and_then(|row| sample_of(row, &mut self.time, &self.signals));
+        let sample = row.and_then(|row| sample_of(row, &mut self.time, &self.signals));
         match sample {
             Ok(sample) => self.held.take(sample),
-            Err(what) => {
+            Err(error) => {
                 self.unreadable += 1;
                 let line = self.table.line_number();
-                self.first_unreadable.get_or_insert_with(|| format!("line {line}: {what}"));
+                self.first_unreadable.get_or_insert_with(|| format!("line {line}: {error}"));
             }
         }
         Ok(true)
@@ -178,7 +178,7 @@ impl Held {
     }
 }
 
-fn sample_of(row: &Row, time: &mut TableTime, signals: &[Column]) -> Result<Sample, String> {
+fn sample_of(row: &Row, time: &mut TableTime, signals: &[Column]) -> Result<Sample, RowError> {
     let mut sample = Sample::new(time.of_row(row)?);
     for column in signals {
         let value = value_of(row, column.index)?;
@@ -189,16 +189,13 @@ fn sample_of(row: &Row, time: &mut TableTime, signals: &[Column]) -> Result<Samp
     Ok(sample)
 }
 
-fn value_of(row: &Row, index: usize) -> Result<f64, String> {
-    let field = row.field(index).ok_or_else(|| format!("column {} is missing", index + 1))?;
+fn value_of(row: &Row, index: usize) -> Result<f64, RowError> {
+    let field = row.wanted(index)?;
     if field.is_empty() {
         return Ok(f64::NAN);
     }
-    let text = std::str::from_utf8(field).map_err(|_| format!("column {} is not text", index + 1))?;
-    number(field).ok_or_else(|| {
-        let begin: String = text.chars().take(40).collect();
-        format!("`{begin}` is not a number")
-    })
+    let text = std::str::from_utf8(field).map_err(|_| RowError::NotText { number: index + 1 })?;
+    number(field).ok_or_else(|| RowError::not_a_number(text))
 }
 
 /// The columns' names, as many as one line holds.

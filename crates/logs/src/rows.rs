@@ -9,7 +9,55 @@ use super::lines::{Line, Lines};
 /// Longest line that is read, bytes: some ten thousand columns.
 const LONGEST_LINE: u64 = 1 << 20;
 
-const TOO_LONG: &str = "the line is longer than a row can be";
+/// Why no row can be looked for in a text.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum TableError {
+    /// The text cannot be read.
+    #[error(transparent)]
+    Reading(#[from] io::Error),
+    /// No header is that long: it is no table.
+    #[error("its first line has more than {LONGEST_LINE} bytes")]
+    LongFirstLine,
+}
+
+/// Why a row cannot be used. Each message follows the row's line.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum RowError {
+    /// Its line is longer than what is held.
+    #[error("the line is longer than a row can be")]
+    TooLong,
+    /// Its last field never ends.
+    #[error("a quote is opened and not closed")]
+    OpenQuote,
+    /// It ends before a column that is wanted.
+    #[error("column {number} is missing")]
+    NoColumn {
+        /// Column, from 1 on.
+        number: usize,
+    },
+    /// A field is not UTF-8.
+    #[error("column {number} is not text")]
+    NotText {
+        /// Column, from 1 on.
+        number: usize,
+    },
+    /// A field is neither a number nor, where the time is, a date or a clock.
+    #[error("`{begin}` is not a number")]
+    NotANumber {
+        /// The field, or its beginning.
+        begin: String,
+    },
+    /// The field of the time is empty, or not finite.
+    #[error("the time is missing")]
+    NoTime,
+}
+
+impl RowError {
+    /// The error of a field that is no number, of which as much is told as one line holds.
+    pub(crate) fn not_a_number(field: &str) -> Self {
+        RowError::NotANumber { begin: field.chars().take(40).collect() }
+    }
+}
 
 /// See the [module](self).
 pub(crate) struct Rows<R> {
@@ -48,17 +96,15 @@ impl<R: Read> Rows<R> {
     /// One more line of the text's beginning, without taking it; `None` at the end.
     ///
     /// # Errors
-    /// One line: it cannot be read, or the first is too long. A later one that is ends the look, and is a row that cannot be read.
-    pub(crate) fn look_at_next(&mut self) -> Result<Option<&[u8]>, String> {
+    /// [`TableError`]: it cannot be read, or the first is too long. A later one that is ends the look, and is a row that cannot be read.
+    pub(crate) fn look_at_next(&mut self) -> Result<Option<&[u8]>, TableError> {
         if self.long_line {
             return Ok(None);
         }
         let number = self.lines.number() + 1;
-        let line = match self.lines.next().map_err(|error| error.to_string())? {
+        let line = match self.lines.next()? {
             None => return Ok(None),
-            Some(Line::TooLong) if number == 1 => {
-                return Err(format!("its first line has more than {LONGEST_LINE} bytes"));
-            }
+            Some(Line::TooLong) if number == 1 => return Err(TableError::LongFirstLine),
             Some(Line::TooLong) => {
                 self.long_line = true;
                 return Ok(None);
@@ -78,7 +124,7 @@ impl<R: Read> Rows<R> {
     }
 
     /// The next row, or what is wrong with it; empty lines are none.
-    pub(crate) fn next(&mut self) -> io::Result<Option<Result<&Row, &'static str>>> {
+    pub(crate) fn next(&mut self) -> io::Result<Option<Result<&Row, RowError>>> {
         while let Some(line) = self.looked_at.pop_front() {
             self.number += 1;
             if !line.trim_ascii().is_empty() {
@@ -86,14 +132,14 @@ impl<R: Read> Rows<R> {
             }
         }
         if std::mem::take(&mut self.long_line) {
-            return Ok(Some(Err(TOO_LONG)));
+            return Ok(Some(Err(RowError::TooLong)));
         }
         loop {
             return Ok(Some(match self.lines.next()? {
                 None => return Ok(None),
                 Some(Line::Whole(line)) if line.trim_ascii().is_empty() => continue,
                 Some(Line::Whole(line)) => self.row.split(line, self.divider).map(|()| &self.row),
-                Some(Line::TooLong) => Err(TOO_LONG),
+                Some(Line::TooLong) => Err(RowError::TooLong),
             }));
         }
     }
@@ -111,10 +157,18 @@ pub(crate) fn divider_of(line: &[u8]) -> u8 {
 }
 
 impl Row {
-    /// A field by its column.
+    /// A field by its column, from 0 on.
     pub(crate) fn field(&self, column: usize) -> Option<&[u8]> {
         let begin = if column == 0 { 0 } else { *self.ends.get(column - 1)? };
         self.text.get(begin..*self.ends.get(column)?)
+    }
+
+    /// A field by its column, which the row is to have.
+    ///
+    /// # Errors
+    /// [`RowError::NoColumn`].
+    pub(crate) fn wanted(&self, column: usize) -> Result<&[u8], RowError> {
+        self.field(column).ok_or(RowError::NoColumn { number: column + 1 })
     }
 
     /// The fields in their order.
@@ -125,8 +179,8 @@ impl Row {
     /// Divides a line.
     ///
     /// # Errors
-    /// What is wrong with it.
-    pub(crate) fn split(&mut self, line: &[u8], divider: u8) -> Result<(), &'static str> {
+    /// [`RowError::OpenQuote`].
+    pub(crate) fn split(&mut self, line: &[u8], divider: u8) -> Result<(), RowError> {
         self.text.clear();
         self.ends.clear();
         let mut rest = Some(line);
@@ -148,9 +202,9 @@ impl Row {
     }
 
     /// Takes a field up to its closing quote, two of which are one in it; what follows its divider.
-    fn take_quoted<'l>(&mut self, mut text: &'l [u8], divider: u8) -> Result<Option<&'l [u8]>, &'static str> {
+    fn take_quoted<'l>(&mut self, mut text: &'l [u8], divider: u8) -> Result<Option<&'l [u8]>, RowError> {
         loop {
-            let end = text.iter().position(|byte| *byte == b'"').ok_or("a quote is opened and not closed")?;
+            let end = text.iter().position(|byte| *byte == b'"').ok_or(RowError::OpenQuote)?;
             self.text.extend_from_slice(&text[..end]);
             text = &text[end + 1..];
             match text.strip_prefix(b"\"") {
@@ -168,7 +222,7 @@ impl Row {
 mod tests {
     use super::*;
 
-    fn rows(text: &str) -> (Vec<String>, Vec<Result<Vec<String>, &'static str>>) {
+    fn rows(text: &str) -> (Vec<String>, Vec<Result<Vec<String>, RowError>>) {
         let mut rows = Rows::new(text.as_bytes());
         let header = rows.look_at_next().unwrap().unwrap_or_default().to_vec();
         let divider = divider_of(&header);
@@ -203,12 +257,13 @@ mod tests {
     fn a_long_line_costs_itself_wherever_it_stands() {
         let long = "7".repeat(LONGEST_LINE as usize + 1);
         let mut rows = Rows::new(long.as_bytes());
-        assert_eq!(rows.look_at_next(), Err(format!("its first line has more than {LONGEST_LINE} bytes")));
+        let error = rows.look_at_next().unwrap_err().to_string();
+        assert_eq!(error, format!("its first line has more than {LONGEST_LINE} bytes"));
         let text = format!("a,b\n{long}\n1,2\n");
         let mut rows = Rows::new(text.as_bytes());
         while rows.look_at_next().unwrap().is_some() {}
         rows.begin(1, b',');
-        assert_eq!(rows.next().unwrap().map(|row| row.map(|_| ())), Some(Err(TOO_LONG)));
+        assert_eq!(rows.next().unwrap().map(|row| row.map(|_| ())), Some(Err(RowError::TooLong)));
         assert_eq!(rows.line_number(), 2);
         assert_eq!(rows.next().unwrap().unwrap().unwrap().field(1), Some(&b"2"[..]));
     }
@@ -219,7 +274,7 @@ mod tests {
         assert_eq!(
             found,
             [
-                Err("a quote is opened and not closed"),
+                Err(RowError::OpenQuote),
                 Ok(vec!["1".into(), "2".into()]),
                 // Within a field it is a character like others.
                 Ok(vec!["2".into(), "3\"".into()]),

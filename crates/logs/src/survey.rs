@@ -326,7 +326,8 @@ pub(crate) fn survey_csv(
     time_column: &str,
     unit: Option<TimeUnit>,
 ) -> Result<(TopicSurvey, Vec<String>, Option<TimeUnit>), LogError> {
-    let mut table = Table::new(input, &[time_column]).map_err(|what| LogError::data(name, what))?;
+    let mut table =
+        Table::new(input, &[time_column]).map_err(|error| LogError::data(name, error.to_string()))?;
     let place = TablePlace::in_column(&table, time_column, unit);
     let unit = match &place {
         Some(TablePlace::Column { unit, .. }) => Some(*unit),

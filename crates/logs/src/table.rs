@@ -4,7 +4,7 @@
 use std::io::{self, Read};
 
 use crate::civil::StampReader;
-use crate::rows::{Row, Rows, divider_of};
+use crate::rows::{Row, RowError, Rows, TableError, divider_of};
 
 /// Lines of a text's beginning in which the first row is looked for.
 const PREAMBLE_LINES: usize = 256;
@@ -64,8 +64,8 @@ impl<R: Read> Table<R> {
     /// Finds the first row: it follows the line that has one of the names, or the columns' names and perhaps their units, or nothing.
     ///
     /// # Errors
-    /// One line: nothing can be read, or there is no row.
-    pub(crate) fn new(input: R, names: &[&str]) -> Result<Self, String> {
+    /// [`TableError`]: nothing can be read, or the first line is none of a table.
+    pub(crate) fn new(input: R, names: &[&str]) -> Result<Self, TableError> {
         // Columns that are named by their numbers have no line of names.
         let names: Vec<&str> = names.iter().copied().filter(|name| name.parse::<f64>().is_err()).collect();
         let mut rows = Rows::new(input);
@@ -101,7 +101,7 @@ impl<R: Read> Table<R> {
     }
 
     /// Lines after the names up to and with that of their units; 0 where there is none.
-    fn look_for_units(rows: &mut Rows<R>, before: &mut Vec<Beginning>) -> Result<usize, String> {
+    fn look_for_units(rows: &mut Rows<R>, before: &mut Vec<Beginning>) -> Result<usize, TableError> {
         let (names, count) = (before.len(), before.last().map_or(0, |names| names.fields.len()));
         while let Some(line) = rows.look_at_next()? {
             let is_empty = line.trim_ascii().is_empty();
@@ -141,7 +141,7 @@ impl<R: Read> Table<R> {
     }
 
     /// The next row, or what is wrong with it.
-    pub(crate) fn next(&mut self) -> io::Result<Option<Result<&Row, &'static str>>> {
+    pub(crate) fn next(&mut self) -> io::Result<Option<Result<&Row, RowError>>> {
         self.rows.next()
     }
 

@@ -4,7 +4,7 @@ use std::io::Read;
 
 use crate::civil::{Stamp, StampReader};
 use crate::mapping::{LogMapping, TimeUnit};
-use crate::rows::Row;
+use crate::rows::{Row, RowError};
 use crate::table::{Table, number};
 
 const DAY_NS: i64 = 86_400_000_000_000;
@@ -70,7 +70,10 @@ impl TableTime {
     }
 
     /// A row's time, ns.
-    pub(crate) fn of_row(&mut self, row: &Row) -> Result<i64, String> {
+    ///
+    /// # Errors
+    /// [`RowError`] where it has none.
+    pub(crate) fn of_row(&mut self, row: &Row) -> Result<i64, RowError> {
         let (index, unit, days) = match self.place {
             TablePlace::Rate(rate_hz) => {
                 let time_ns = (self.rows as f64 * 1e9 / rate_hz).round() as i64;
@@ -79,22 +82,19 @@ impl TableTime {
             }
             TablePlace::Column { index, unit, days } => (index, unit, days),
         };
-        let field = row.field(index).ok_or_else(|| format!("column {} is missing", index + 1))?;
+        let field = row.wanted(index)?;
         if field.is_empty() {
-            return Err("the time is missing".into());
+            return Err(RowError::NoTime);
         }
         if let Some(value) = number(field) {
             let time_ns = (value * unit.nanoseconds()).round();
-            return if value.is_finite() { Ok(time_ns as i64) } else { Err("the time is missing".into()) };
+            return if value.is_finite() { Ok(time_ns as i64) } else { Err(RowError::NoTime) };
         }
         let text = String::from_utf8_lossy(field);
         match self.stamps.read(&text) {
             Some(Stamp::Whole(time_ns) | Stamp::Day(time_ns)) => Ok(time_ns),
             Some(Stamp::Clock(clock_ns)) => Ok(self.with_day(row, days, clock_ns)),
-            None => {
-                let begin: String = text.chars().take(40).collect();
-                Err(format!("`{begin}` is not a number"))
-            }
+            None => Err(RowError::not_a_number(&text)),
         }
     }
 

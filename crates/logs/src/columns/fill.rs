@@ -134,7 +134,8 @@ impl Filling {
         name: &str,
         time: &TimeColumn,
     ) -> Result<(), LogError> {
-        let mut table = Table::new(input, &[&time.column]).map_err(|what| LogError::data(name, what))?;
+        let mut table =
+            Table::new(input, &[&time.column]).map_err(|error| LogError::data(name, error.to_string()))?;
         let places = self.places_of("");
         let of_column: Vec<Option<usize>> =
             table.columns.iter().map(|column| places.get(column).copied()).collect();

@@ -210,7 +210,7 @@ fn unit_of_step(step: f64) -> Option<(TimeUnit, bool)> {
 }
 
 fn heads(input: impl Read, name: &str) -> Result<Vec<Head>, LogError> {
-    let mut table = Table::new(input, &[]).map_err(|what| LogError::data(name, what))?;
+    let mut table = Table::new(input, &[]).map_err(|error| LogError::data(name, error.to_string()))?;
     let units = table.units.iter().cloned().chain(std::iter::repeat(String::new()));
     let heads = table.columns.iter().cloned().zip(units);
     let mut heads: Vec<Head> =
