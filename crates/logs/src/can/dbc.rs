@@ -10,6 +10,7 @@ use can_dbc::{
 use seepd_settings::{nearest, side_file};
 
 use super::bit_field::{BitField, BitFieldError, ByteOrder, Encoding};
+use super::dbc_error::{LookUpError, PlaceError};
 use super::j1939::{FrameChoice, NULL_ADDRESS, SourceAddress};
 use super::{Content, Frame, Identifier};
 use crate::error::LogError;
@@ -111,7 +112,7 @@ const XML: &str = "this is an XML file, perhaps KCD or ARXML, and DBC files are 
                    cantools convert IN.kcd OUT.dbc, or canconvert IN.arxml OUT.dbc";
 
 /// Levels of multiplexers within multiplexers that are followed.
-const DEEPEST_MULTIPLEX: usize = 64;
+pub(super) const DEEPEST_MULTIPLEX: usize = 64;
 
 impl Dbc {
     /// Reads a file.
@@ -237,10 +238,10 @@ impl Dbc {
     /// # Errors
     /// [`LogError::Mapping`]: there is none (with the nearest name), there are several, or it cannot be where the file says.
     pub fn find(&self, name: &str) -> Result<CanSignal, LogError> {
-        self.look_up(name).map_err(LogError::mapping)
+        self.look_up(name).map_err(|error| LogError::mapping(format!("{}: {error}", self.file)))
     }
 
-    fn look_up(&self, name: &str) -> Result<CanSignal, String> {
+    fn look_up(&self, name: &str) -> Result<CanSignal, LookUpError> {
         let is = |(message, signal): &(&Message, &Signal)| {
             let full = self.full_name(message, signal);
             full == name || full.rsplit_once('.').is_some_and(|(_, short)| short == name)
@@ -250,36 +251,26 @@ impl Dbc {
             [] => Err(self.no_such(name)),
             [(message, signal)] => self
                 .resolve(message, signal)
-                .map_err(|what| format!("{}: the signal `{name}` {what}", self.file)),
+                .map_err(|error| LookUpError::NoPlace { name: name.into(), error }),
             several => {
-                let names: Vec<String> =
+                let full_names =
                     several.iter().map(|(message, signal)| self.full_name(message, signal)).collect();
-                Err(format!(
-                    "{}: several messages have a signal `{name}`; write {}",
-                    self.file,
-                    names.join(" or ")
-                ))
+                Err(LookUpError::Ambiguous { name: name.into(), full_names })
             }
         }
     }
 
-    fn no_such(&self, name: &str) -> String {
+    fn no_such(&self, name: &str) -> LookUpError {
         let full: Vec<String> = self.names().collect();
         let short = full.iter().filter_map(|full| full.rsplit_once('.')).map(|(_, short)| short);
         let all: Vec<&str> = full.iter().map(String::as_str).chain(short).collect();
-        let hint = match nearest(name, all.iter().copied()) {
-            Some(near) => format!("; did you mean `{near}`?"),
-            None if full.is_empty() => "; the file has no signals at all".into(),
-            None => {
-                let more =
-                    if full.len() > 8 { format!(" and {} more", full.len() - 8) } else { String::new() };
-                format!(
-                    "; the file has {}{more}",
-                    full.iter().take(8).cloned().collect::<Vec<_>>().join(", ")
-                )
-            }
-        };
-        format!("{}: there is no signal `{name}`{hint}", self.file)
+        let near = nearest(name, all.iter().copied()).map(str::to_owned);
+        let name = name.to_owned();
+        match near {
+            Some(near) => LookUpError::Misspelt { name, near },
+            None if full.is_empty() => LookUpError::NoSignals { name },
+            None => LookUpError::Unknown { name, listed: listed(&full) },
+        }
     }
 
     /// The signals of a frame that can be read, up to so many.
@@ -291,19 +282,15 @@ impl Dbc {
         signals.take(most).collect()
     }
 
-    fn resolve(&self, message: &Message, signal: &Signal) -> Result<CanSignal, String> {
-        let frames = self.frames(message).ok_or_else(|| {
-            format!("is in the message {}, whose identifier cannot occur on a CAN bus", message.name)
-        })?;
-        let field = self.field(message, signal).map_err(|error| error.to_string())?;
+    fn resolve(&self, message: &Message, signal: &Signal) -> Result<CanSignal, PlaceError> {
+        let frames =
+            self.frames(message).ok_or_else(|| PlaceError::NoIdentifier { message: message.name.clone() })?;
+        let field = self.field(message, signal)?;
         // Sizes of 0 stand for a length that varies.
         let size = message.size as usize;
         if size > 0 && field.least_bytes() > size {
-            return Err(format!(
-                "ends in byte {} of the message {}, which has {size} bytes",
-                field.least_bytes(),
-                message.name
-            ));
+            let (last, message) = (field.least_bytes(), message.name.clone());
+            return Err(PlaceError::BeyondMessage { last, message, size });
         }
         let selectors = self.selectors(message, signal)?;
         let (name, unit) = (self.full_name(message, signal), signal.unit.clone());
@@ -346,7 +333,7 @@ impl Dbc {
     }
 
     /// What must hold of the frame's multiplexers, from the signal's own up to the outermost.
-    fn selectors(&self, message: &Message, signal: &Signal) -> Result<Vec<Selector>, String> {
+    fn selectors(&self, message: &Message, signal: &Signal) -> Result<Vec<Selector>, PlaceError> {
         let mut selectors = Vec::new();
         let mut inner = signal;
         // A file may go in circles.
@@ -365,16 +352,16 @@ impl Dbc {
                 Some(rule) => rule.multiplexor_signal_name == other.name,
                 None => other.multiplexer_indicator == MultiplexIndicator::Multiplexor,
             });
-            let outer = outer.ok_or("is multiplexed, but its message has no multiplexer")?;
+            let outer = outer.ok_or(PlaceError::NoMultiplexer)?;
             let ranges = match extended {
                 Some(rule) => rule.mappings.iter().map(|range| (range.min_value, range.max_value)).collect(),
                 None => vec![(value, value)],
             };
-            let field = self.field(message, outer).map_err(|error| error.to_string())?;
+            let field = self.field(message, outer)?;
             selectors.push(Selector { field, ranges });
             inner = outer;
         }
-        Err(format!("is multiplexed by itself, or more than {DEEPEST_MULTIPLEX} levels deep"))
+        Err(PlaceError::MultiplexedTooDeep)
     }
 
     /// `Message.Signal`, by the long names where the file cuts them to 32 characters.
@@ -389,6 +376,16 @@ impl Dbc {
             attribute.message_id == message.id && attribute.name == "SystemMessageLongSymbol"
         });
         text_of(long.map(|attribute| &attribute.value)).unwrap_or(&message.name).to_owned()
+    }
+}
+
+/// The first of some names, and how many more there are.
+fn listed(names: &[String]) -> String {
+    const TOLD: usize = 8;
+    let first = names.iter().take(TOLD).map(String::as_str).collect::<Vec<_>>().join(", ");
+    match names.len().saturating_sub(TOLD) {
+        0 => first,
+        more => format!("{first} and {more} more"),
     }
 }
 

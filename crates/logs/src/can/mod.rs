@@ -6,6 +6,7 @@ pub mod blf;
 pub(crate) mod busmaster;
 pub mod candump;
 pub mod dbc;
+mod dbc_error;
 pub mod decode;
 pub mod j1939;
 pub mod linux;
