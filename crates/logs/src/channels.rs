@@ -121,9 +121,9 @@ impl Channels {
             ));
         }
         let decoder = Decoder::new(encoding, schema)
-            .map_err(|what| LogError::data(&self.log, format!("topic {topic} {what}")))?;
+            .map_err(|error| LogError::data(&self.log, format!("topic {topic} {error}")))?;
         let fields = FieldTree::of(mappings.iter().map(|mapping| (mapping.0, &mapping.1)))
-            .map_err(LogError::mapping)?;
+            .map_err(|error| LogError::mapping(error.to_string()))?;
         let has_command = fields.wants_command();
         self.mapped.insert(*id, MappedChannel { decoder, fields, has_command });
         Ok(())

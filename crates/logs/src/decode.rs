@@ -4,11 +4,13 @@
 use super::fields::{FieldTree, FieldVisitor, Picked};
 use super::json;
 use super::mcap_file::SchemaRecord;
+use super::message_error::MessageError;
 use super::protobuf::ProtobufMessage;
 use super::ros::RosMessage;
+use super::schema_error::SchemaError;
 
 /// Longest schema that is read, bytes; those with every comment of every file in them have some hundred thousand.
-const LONGEST_SCHEMA: usize = 1 << 20;
+pub(super) const LONGEST_SCHEMA: usize = 1 << 20;
 
 /// What the decoders of one log may take, bytes as [`decoder_bytes`] estimates them.
 pub(crate) const DECODERS_BYTES: usize = 32 << 20;
@@ -37,36 +39,37 @@ impl Decoder {
     /// The decoder for a channel of that message encoding and schema.
     ///
     /// # Errors
-    /// One line: an encoding that is not read, or a schema that does not parse.
-    pub(crate) fn new(encoding: &str, schema: Option<&SchemaRecord>) -> Result<Self, String> {
+    /// [`SchemaError`]: an encoding that is not read, or a schema that does not parse.
+    pub(crate) fn new(encoding: &str, schema: Option<&SchemaRecord>) -> Result<Self, SchemaError> {
         match (encoding, schema) {
             ("json", _) => Ok(Decoder::Json),
-            ("protobuf" | "cdr", Some(schema)) if schema.data.len() > LONGEST_SCHEMA => Err(format!(
-                "has a schema of {} bytes; this version reads schemas up to {LONGEST_SCHEMA}",
-                schema.data.len()
-            )),
+            ("protobuf" | "cdr", Some(schema)) if schema.data.len() > LONGEST_SCHEMA => {
+                Err(SchemaError::TooLong { bytes: schema.data.len() })
+            }
             ("protobuf", Some(schema)) if schema.encoding == "protobuf" => {
                 ProtobufMessage::parse(&schema.name, &schema.data).map(Decoder::Protobuf)
             }
             ("cdr", Some(schema)) if schema.encoding == "ros2msg" => {
                 RosMessage::parse(&schema.name, &schema.data).map(|message| Decoder::Cdr(Box::new(message)))
             }
-            ("protobuf" | "cdr", Some(schema)) => Err(format!(
-                "has {encoding} messages with a schema in `{}`; this version reads protobuf with `protobuf` and cdr with `ros2msg`",
-                schema.encoding
-            )),
-            ("protobuf" | "cdr", None) => Err(format!("has {encoding} messages without their schema")),
-            _ => Err(format!(
-                "has the message encoding `{encoding}`; this version reads json, protobuf and cdr"
-            )),
+            ("protobuf" | "cdr", Some(schema)) => {
+                Err(SchemaError::OtherKind { encoding: encoding.into(), schema: schema.encoding.clone() })
+            }
+            ("protobuf" | "cdr", None) => Err(SchemaError::Missing { encoding: encoding.into() }),
+            _ => Err(SchemaError::Encoding { encoding: encoding.into() }),
         }
     }
 
     /// Picks the wanted fields out of a message.
     ///
     /// # Errors
-    /// One line: the message does not fit its schema, or a wanted field is no number.
-    pub(crate) fn pick(&self, fields: &FieldTree, message: &[u8], picked: &mut Picked) -> Result<(), String> {
+    /// [`MessageError`]: the message does not fit its schema, or a wanted field is no number.
+    pub(crate) fn pick(
+        &self,
+        fields: &FieldTree,
+        message: &[u8],
+        picked: &mut Picked,
+    ) -> Result<(), MessageError> {
         let result = self.visit(message, &mut fields.picker(picked));
         match (self, &result) {
             (Decoder::Json, Err(_)) => match json::mended(message) {
@@ -80,8 +83,8 @@ impl Decoder {
     /// Shows a message to a visitor.
     ///
     /// # Errors
-    /// One line: the message does not fit its schema, or a wanted field is no number.
-    pub(crate) fn visit(&self, message: &[u8], visitor: &mut impl FieldVisitor) -> Result<(), String> {
+    /// [`MessageError`]: the message does not fit its schema, or a wanted field is no number.
+    pub(crate) fn visit(&self, message: &[u8], visitor: &mut impl FieldVisitor) -> Result<(), MessageError> {
         match self {
             Decoder::Json => json::visit(message, visitor),
             Decoder::Protobuf(definition) => definition.visit(message, visitor),

@@ -27,6 +27,20 @@ pub(super) const LONGEST_PATH: usize = 256;
 /// Elements of an array that are told; long arrays are images and clouds of points, not signals.
 const ELEMENTS_TOLD: usize = 16;
 
+/// Why what stands in a field cannot be what it is wanted for.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum ValueError {
+    /// The time is not finite.
+    #[error("the time is not a number")]
+    NoTime,
+    /// A text is in the place of a number.
+    #[error("`{begin}` is not a number")]
+    NotANumber {
+        /// The text, or its beginning.
+        begin: String,
+    },
+}
+
 /// What is shown a message's numbers, from its top down.
 pub(crate) trait FieldVisitor {
     /// Goes down a step; `false`, and stays, where nothing below it is wanted.
@@ -38,14 +52,14 @@ pub(crate) trait FieldVisitor {
     /// A number here.
     ///
     /// # Errors
-    /// One line: it cannot be what it is wanted for.
-    fn number(&mut self, value: f64) -> Result<(), String>;
+    /// [`ValueError`] where it cannot be what it is wanted for.
+    fn number(&mut self, value: f64) -> Result<(), ValueError>;
 
     /// A text here.
     ///
     /// # Errors
-    /// One line: a number is wanted here.
-    fn text(&mut self, text: &str) -> Result<(), String>;
+    /// [`ValueError`] where a number is wanted, and it is none.
+    fn text(&mut self, text: &str) -> Result<(), ValueError>;
 }
 
 /// What a field is for.
@@ -82,6 +96,34 @@ pub(crate) struct FieldTree {
     targets: Vec<Target>,
 }
 
+/// Why fields cannot be looked for together.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum PathError {
+    /// A path is longer than those of messages are.
+    #[error("{key} is a path of {parts} parts; at most {DEEPEST} are followed")]
+    TooDeep {
+        /// Key of the mapping that has it.
+        key: String,
+        /// Parts of the path.
+        parts: usize,
+    },
+    /// Two signals of a topic take their one time from two fields.
+    #[error(
+        "signals.{signal}.time is `{time}`, but signals.{other}.time, on the same topic, is `{other_time}`; a message has one time: \
+         name it once"
+    )]
+    TwoTimes {
+        /// The one signal.
+        signal: &'static str,
+        /// Where its time is.
+        time: String,
+        /// The other signal.
+        other: &'static str,
+        /// Where its time is.
+        other_time: String,
+    },
+}
+
 /// What a message held, in the order of the fields in it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Picked {
@@ -108,10 +150,10 @@ impl FieldTree {
     /// The tree of a topic's mappings.
     ///
     /// # Errors
-    /// One line: a path is too deep, or two of the mappings find the message's one time in two places.
+    /// [`PathError`]: a path is too deep, or two of the mappings find the message's one time in two places.
     pub(crate) fn of<'c>(
         mappings: impl Iterator<Item = (Signal, &'c SignalMapping)>,
-    ) -> Result<Self, String> {
+    ) -> Result<Self, PathError> {
         let mut tree = FieldTree::default();
         let mut timed: Option<(Signal, &str)> = None;
         for (signal, mapping) in mappings {
@@ -123,11 +165,12 @@ impl FieldTree {
             }
             let (first, time) = *timed.get_or_insert((signal, &mapping.time));
             if time != mapping.time {
-                return Err(format!(
-                    "{key}.time is `{}`, but signals.{}.time, on the same topic, is `{time}`; a message has one time: name it once",
-                    mapping.time,
-                    first.name()
-                ));
+                return Err(PathError::TwoTimes {
+                    signal: signal.name(),
+                    time: mapping.time.clone(),
+                    other: first.name(),
+                    other_time: time.to_owned(),
+                });
             }
             // A number of seconds, or a stamp of seconds and nanoseconds, as ROS and protobuf have it.
             let key = format!("{key}.time");
@@ -144,10 +187,10 @@ impl FieldTree {
         Ok(tree)
     }
 
-    fn add(&mut self, key: &str, path: &str, target: Target) -> Result<(), String> {
-        let depth = steps(path).count();
-        if depth > DEEPEST {
-            return Err(format!("{key} is a path of {depth} parts; at most {DEEPEST} are followed"));
+    fn add(&mut self, key: &str, path: &str, target: Target) -> Result<(), PathError> {
+        let parts = steps(path).count();
+        if parts > DEEPEST {
+            return Err(PathError::TooDeep { key: key.into(), parts });
         }
         let mut node = self;
         for step in steps(path) {
@@ -211,13 +254,13 @@ impl FieldVisitor for Picker<'_> {
         self.depth = self.depth.saturating_sub(1);
     }
 
-    fn number(&mut self, value: f64) -> Result<(), String> {
+    fn number(&mut self, value: f64) -> Result<(), ValueError> {
         for target in &self.path[self.depth].targets {
             match target {
                 Target::Signal { signal, to_si } => {
                     self.picked.values.push((*signal, to_si.of(value)));
                 }
-                _ if !value.is_finite() => return Err("the time is not a number".into()),
+                _ if !value.is_finite() => return Err(ValueError::NoTime),
                 Target::Seconds => self.picked.seconds_ns = Some((value * 1e9).round() as i64),
                 Target::Nanoseconds => self.picked.nanoseconds_ns = Some(value.round() as i64),
             }
@@ -225,16 +268,13 @@ impl FieldVisitor for Picker<'_> {
         Ok(())
     }
 
-    fn text(&mut self, text: &str) -> Result<(), String> {
+    fn text(&mut self, text: &str) -> Result<(), ValueError> {
         if self.path[self.depth].targets.is_empty() {
             return Ok(());
         }
         match text.parse() {
             Ok(value) => self.number(value),
-            Err(_) => {
-                let begin: String = text.chars().take(40).collect();
-                Err(format!("`{begin}` is not a number"))
-            }
+            Err(_) => Err(ValueError::NotANumber { begin: text.chars().take(40).collect() }),
         }
     }
 }
@@ -280,12 +320,12 @@ impl<F: FnMut(&str, f64)> FieldVisitor for Paths<F> {
         self.path.truncate(self.lengths.pop().unwrap_or_default());
     }
 
-    fn number(&mut self, value: f64) -> Result<(), String> {
+    fn number(&mut self, value: f64) -> Result<(), ValueError> {
         (self.take)(&self.path, value);
         Ok(())
     }
 
-    fn text(&mut self, _text: &str) -> Result<(), String> {
+    fn text(&mut self, _text: &str) -> Result<(), ValueError> {
         Ok(())
     }
 }
@@ -294,8 +334,9 @@ impl<F: FnMut(&str, f64)> FieldVisitor for Paths<F> {
 mod tests {
     use super::*;
     use crate::json;
+    use crate::message_error::MessageError;
 
-    fn tree(mappings: &[(Signal, SignalMapping)]) -> Result<FieldTree, String> {
+    fn tree(mappings: &[(Signal, SignalMapping)]) -> Result<FieldTree, PathError> {
         FieldTree::of(mappings.iter().map(|(signal, mapping)| (*signal, mapping)))
     }
 
@@ -303,7 +344,7 @@ mod tests {
         SignalMapping { field: field.into(), scale, time: time.into(), ..SignalMapping::default() }
     }
 
-    fn pick(tree: &FieldTree, json: &[u8], picked: &mut Picked) -> Result<(), String> {
+    fn pick(tree: &FieldTree, json: &[u8], picked: &mut Picked) -> Result<(), MessageError> {
         json::visit(json, &mut tree.picker(picked))
     }
 
@@ -328,7 +369,7 @@ mod tests {
         let mut picked = Picked::default();
         pick(&tree, br#"{"command":null}"#, &mut picked).unwrap();
         assert!(picked.values[0].1.is_nan());
-        let error = pick(&tree, br#"{"command":"fast"}"#, &mut picked).unwrap_err();
+        let error = pick(&tree, br#"{"command":"fast"}"#, &mut picked).unwrap_err().to_string();
         assert!(error.contains("`fast` is not a number"), "{error}");
         assert!(pick(&tree, b"{\"command\":0.1", &mut picked).is_err());
     }
@@ -339,7 +380,7 @@ mod tests {
             (Signal::Command, mapping("command", 1.0, "stamp")),
             (Signal::Position, mapping("position", 1.0, "received")),
         ];
-        let error = tree(&two).unwrap_err();
+        let error = tree(&two).unwrap_err().to_string();
         assert_eq!(
             error,
             "signals.position.time is `received`, but signals.command.time, on the same topic, is `stamp`; a message has one time: \
@@ -352,7 +393,9 @@ mod tests {
         assert_eq!(picked.time_ns(), Some(1_500_000_000));
         pick(&tree(&same).unwrap(), br#"{"stamp":{"sec":3,"nanosec":7}}"#, &mut picked).unwrap();
         assert_eq!(picked.time_ns(), Some(3_000_000_007));
-        let error = pick(&tree(&same).unwrap(), br#"{"stamp":null,"command":0}"#, &mut picked).unwrap_err();
+        let error = pick(&tree(&same).unwrap(), br#"{"stamp":null,"command":0}"#, &mut picked)
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("the time is not a number"), "{error}");
     }
 
@@ -360,7 +403,7 @@ mod tests {
     fn a_path_of_200_000_parts_is_refused() {
         let deep = [(Signal::Command, mapping(&"a.".repeat(200_000), 1.0, ""))];
         assert_eq!(
-            tree(&deep).unwrap_err(),
+            tree(&deep).unwrap_err().to_string(),
             "signals.command.field is a path of 200000 parts; at most 32 are followed"
         );
         let fits = [(Signal::Command, mapping(&["a"; DEEPEST].join("."), 1.0, ""))];

@@ -1,7 +1,7 @@
 //! What a fuzz target reaches beside the public interface; no part of it.
 
 use crate::decode::Decoder;
-use crate::fields::{FieldVisitor, Step};
+use crate::fields::{FieldVisitor, Step, ValueError};
 use crate::mapping::{LogMapping, Selection};
 use crate::mcap_file::SchemaRecord;
 use crate::opened::{Bytes, Opened, Origin};
@@ -28,12 +28,12 @@ impl FieldVisitor for Walk {
         self.depth -= 1;
     }
 
-    fn number(&mut self, _value: f64) -> Result<(), String> {
+    fn number(&mut self, _value: f64) -> Result<(), ValueError> {
         self.numbers += 1;
         Ok(())
     }
 
-    fn text(&mut self, _text: &str) -> Result<(), String> {
+    fn text(&mut self, _text: &str) -> Result<(), ValueError> {
         Ok(())
     }
 }

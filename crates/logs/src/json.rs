@@ -6,6 +6,7 @@ use serde::Deserializer;
 use serde::de::{DeserializeSeed, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 
 use super::fields::{FieldVisitor, Step};
+use super::message_error::MessageError;
 
 /// Longest message in which NaN and Infinity are looked for, bytes: it is copied for it.
 const LONGEST_MENDED: usize = 1 << 20;
@@ -13,11 +14,11 @@ const LONGEST_MENDED: usize = 1 << 20;
 /// Shows a message to a visitor. NaN and Infinity, which some writers put into JSON, are read as null.
 ///
 /// # Errors
-/// One line: the message is not JSON, or a wanted field is not a number.
-pub(crate) fn visit(json: &[u8], visitor: &mut impl FieldVisitor) -> Result<(), String> {
+/// [`MessageError::Json`]: the message is not JSON, or a wanted field is not a number.
+pub(crate) fn visit(json: &[u8], visitor: &mut impl FieldVisitor) -> Result<(), MessageError> {
     let mut deserializer = serde_json::Deserializer::from_slice(json);
-    let seen = Node(visitor).deserialize(&mut deserializer).and_then(|()| deserializer.end());
-    seen.map_err(|error| error.to_string())
+    Node(visitor).deserialize(&mut deserializer)?;
+    Ok(deserializer.end()?)
 }
 
 /// The message with null in the place of numbers that JSON has not; `None` where there are none.

@@ -106,7 +106,8 @@ pub fn check_signals(signals: &BTreeMap<Signal, SignalMapping>) -> Result<(), Lo
     }
     for mapping in signals.values() {
         let of_topic = signals.iter().filter(|(_, other)| other.topic == mapping.topic);
-        FieldTree::of(of_topic.map(|(signal, mapping)| (*signal, mapping))).map_err(LogError::mapping)?;
+        FieldTree::of(of_topic.map(|(signal, mapping)| (*signal, mapping)))
+            .map_err(|error| LogError::mapping(error.to_string()))?;
     }
     if !signals.is_empty() && !signals.contains_key(&Signal::Command) {
         return Err(LogError::mapping(

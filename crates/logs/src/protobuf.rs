@@ -12,10 +12,12 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
 
 use super::fields::{DEEPEST, FREE_STEPS, FieldVisitor, Step};
-use super::protobuf_wire::{Value, Wire};
+use super::message_error::{MessageError, Misfit};
+use super::protobuf_wire::{Value, Wire, WireError};
+use super::schema_error::{DescriptorError, SchemaError};
 
 /// Types, and fields of all types, that a schema may define; large ones have some thousand.
-const MOST_DEFINED: usize = 16_384;
+pub(super) const MOST_DEFINED: usize = 16_384;
 /// Longest full name of a type, bytes.
 const LONGEST_NAME: usize = 512;
 
@@ -68,12 +70,12 @@ impl ProtobufMessage {
     /// Reads a descriptor set (`google.protobuf.FileDescriptorSet`) as far as the message of that name leads.
     ///
     /// # Errors
-    /// One line: the set does not parse, does not define the message, or defines more than is believed.
-    pub(crate) fn parse(name: &str, set: &[u8]) -> Result<Self, String> {
+    /// [`SchemaError`]: the set does not parse, does not define the message, or defines more than is believed.
+    pub(crate) fn parse(name: &str, set: &[u8]) -> Result<Self, SchemaError> {
         let mut defined = BTreeMap::new();
-        index(set, &mut defined).map_err(|what| format!("its protobuf schema does not parse: {what}"))?;
+        index(set, &mut defined)?;
         if !defined.contains_key(name) {
-            return Err(format!("its protobuf schema does not define the message `{name}`"));
+            return Err(SchemaError::NotDefined { message: name.into() });
         }
         let mut places = HashMap::from([(name.to_owned(), 0)]);
         let mut order = vec![name.to_owned()];
@@ -86,10 +88,10 @@ impl ProtobufMessage {
                 })
             };
             let message = message_type(&name, &defined, &mut place_of)
-                .map_err(|what| format!("its protobuf schema does not parse: {name}: {what}"))?;
+                .map_err(|error| SchemaError::Descriptor { message: name, error })?;
             fields += message.fields.len();
             if fields > MOST_DEFINED {
-                return Err(format!("its protobuf schema defines more than {MOST_DEFINED} fields"));
+                return Err(SchemaError::TooManyFields);
             }
             types.push(message);
         }
@@ -99,10 +101,10 @@ impl ProtobufMessage {
     /// Shows a message to a visitor.
     ///
     /// # Errors
-    /// One line: the message does not fit its schema, or a wanted field is no number.
-    pub(crate) fn visit(&self, message: &[u8], visitor: &mut impl FieldVisitor) -> Result<(), String> {
+    /// [`MessageError::Misfit`]: the message does not fit its schema, or a wanted field is no number.
+    pub(crate) fn visit(&self, message: &[u8], visitor: &mut impl FieldVisitor) -> Result<(), MessageError> {
         let mut walk = Walk { types: &self.types, visitor, steps: message.len() + FREE_STEPS };
-        walk.message(0, message, 0).map_err(|what| format!("does not fit its schema: {what}"))
+        Ok(walk.message(0, message, 0)?)
     }
 }
 
@@ -113,7 +115,7 @@ struct Defined<'s> {
 }
 
 /// Finds the definitions of a descriptor set by their full names.
-fn index<'s>(set: &'s [u8], defined: &mut BTreeMap<String, Defined<'s>>) -> Result<(), String> {
+fn index<'s>(set: &'s [u8], defined: &mut BTreeMap<String, Defined<'s>>) -> Result<(), DescriptorError> {
     for file in Wire(set).bodies(1) {
         let file = file?;
         let (mut package, mut syntax, mut features) = (&b""[..], &b""[..], None);
@@ -141,12 +143,12 @@ fn index_message<'s>(
     implicit: bool,
     defined: &mut BTreeMap<String, Defined<'s>>,
     depth: usize,
-) -> Result<(), String> {
+) -> Result<(), DescriptorError> {
     let own = Wire(body).bodies(1).last().transpose()?.unwrap_or_default();
     let full = if scope.is_empty() { own.to_vec() } else { [scope, b".", own].concat() };
-    let full = String::from_utf8(full).map_err(|_| "a name is not text".to_owned())?;
+    let full = String::from_utf8(full).map_err(|_| DescriptorError::NotText)?;
     if full.len() > LONGEST_NAME || defined.len() >= MOST_DEFINED || depth > DEEPEST {
-        return Err("it defines too many names, or names that are too long or too deep".into());
+        return Err(DescriptorError::TooManyNames);
     }
     for nested in Wire(body).bodies(3) {
         index_message(full.as_bytes(), nested?, implicit, defined, depth + 1)?;
@@ -159,7 +161,7 @@ fn index_message<'s>(
 const IMPLICIT: u64 = 2;
 
 /// The presence that the features in some options ask for, which are the options' field of that number.
-fn presence(options: &[u8], features: u32) -> Result<Option<u64>, String> {
+fn presence(options: &[u8], features: u32) -> Result<Option<u64>, WireError> {
     let mut found = None;
     for features in Wire(options).bodies(features) {
         let mut wire = Wire(features?);
@@ -176,7 +178,7 @@ fn message_type(
     name: &str,
     defined: &BTreeMap<String, Defined<'_>>,
     place_of: &mut impl FnMut(&str) -> usize,
-) -> Result<MessageType, String> {
+) -> Result<MessageType, DescriptorError> {
     let mut message = MessageType::default();
     let Some(definition) = defined.get(name) else { return Ok(message) };
     for field in Wire(definition.body).bodies(2) {
@@ -200,7 +202,7 @@ fn field_of(
     implicit_in_file: bool,
     defined: &BTreeMap<String, Defined<'_>>,
     place_of: &mut impl FnMut(&str) -> usize,
-) -> Result<(u32, Field), String> {
+) -> Result<(u32, Field), DescriptorError> {
     let (mut name, mut type_name) = (&b""[..], &b""[..]);
     let (mut number, mut repeated, mut type_code, mut in_oneof, mut features) = (0, false, 0, false, None);
     let mut wire = Wire(definition);
@@ -217,7 +219,8 @@ fn field_of(
             _ => {}
         }
     }
-    let text = |text: &[u8]| std::str::from_utf8(text).map(str::to_owned).map_err(|_| "a name is not text");
+    let text =
+        |text: &[u8]| std::str::from_utf8(text).map(str::to_owned).map_err(|_| DescriptorError::NotText);
     let (name, type_name) = (text(name)?, text(type_name)?);
     let message = resolve(scope, &type_name, defined);
     let kind = match (type_code, message) {
@@ -233,13 +236,13 @@ fn field_of(
         // Without a code the name alone tells messages from enumerations.
         (0 | 10 | 11, Some(message)) => Kind::Message(place_of(&message)),
         (0, None) if !type_name.is_empty() => Kind::Signed32,
-        (10 | 11, None) => return Err(format!("the field `{name}` is of a type that it does not define")),
+        (10 | 11, None) => return Err(DescriptorError::UndefinedType { field: name }),
         (12, _) => Kind::Bytes,
         (13, _) => Kind::Unsigned32,
         (15, _) => Kind::SignedFixed32,
         (16, _) => Kind::SignedFixed64,
         (17 | 18, _) => Kind::ZigZag,
-        _ => return Err(format!("the field `{name}` has an unknown type")),
+        _ => return Err(DescriptorError::UnknownType { field: name }),
     };
     let is_number = !matches!(kind, Kind::Text | Kind::Bytes | Kind::Message(_));
     let implicit_here = features.map_or(implicit_in_file, |presence| presence == IMPLICIT);
@@ -275,14 +278,15 @@ struct Walk<'t, 'v, V> {
 }
 
 impl<V: FieldVisitor> Walk<'_, '_, V> {
-    fn spend(&mut self) -> Result<(), String> {
-        self.steps = self.steps.checked_sub(1).ok_or("it has far more fields than bytes")?;
+    fn spend(&mut self) -> Result<(), Box<Misfit>> {
+        let Some(left) = self.steps.checked_sub(1) else { return Err(Misfit::Endless.into()) };
+        self.steps = left;
         Ok(())
     }
 
-    fn message(&mut self, at: usize, body: &[u8], depth: usize) -> Result<(), String> {
+    fn message(&mut self, at: usize, body: &[u8], depth: usize) -> Result<(), Box<Misfit>> {
         if depth > DEEPEST {
-            return Err(format!("lies more than {DEEPEST} messages deep"));
+            return Err(Misfit::TooDeep.into());
         }
         let types = self.types;
         let Some(message) = types.get(at) else { return Ok(()) };
@@ -306,7 +310,7 @@ impl<V: FieldVisitor> Walk<'_, '_, V> {
                 }
                 (kind, value) => self
                     .field(kind, field.repeated, value, element, depth)
-                    .map_err(|what| format!("{}: {what}", field.name))?,
+                    .map_err(|misfit| misfit.in_field(&field.name))?,
             }
             self.visitor.leave();
         }
@@ -316,7 +320,7 @@ impl<V: FieldVisitor> Walk<'_, '_, V> {
                 continue;
             };
             if self.visitor.enter(Step::Key(name)) {
-                self.message(at, &part, depth + 1).map_err(|what| format!("{name}: {what}"))?;
+                self.message(at, &part, depth + 1).map_err(|misfit| misfit.in_field(name))?;
                 self.visitor.leave();
             }
         }
@@ -340,7 +344,7 @@ impl<V: FieldVisitor> Walk<'_, '_, V> {
         value: Value<'_>,
         element: &mut usize,
         depth: usize,
-    ) -> Result<(), String> {
+    ) -> Result<(), Box<Misfit>> {
         match (kind, value) {
             (Kind::Message(at), Value::Bytes(body) | Value::Group(body)) => {
                 match self.types.get(at).is_some_and(|message| message.is_map_entry) {
@@ -349,10 +353,10 @@ impl<V: FieldVisitor> Walk<'_, '_, V> {
                 }
             }
             (Kind::Text, Value::Bytes(text)) => {
-                let text = std::str::from_utf8(text).map_err(|_| "is not text".to_owned())?;
+                let text = std::str::from_utf8(text).map_err(|_| Misfit::NotText)?;
                 match repeated {
-                    true => self.element(element, |walk| walk.visitor.text(text)),
-                    false => self.visitor.text(text),
+                    true => self.element(element, |walk| Ok(walk.visitor.text(text)?)),
+                    false => Ok(self.visitor.text(text)?),
                 }
             }
             (Kind::Bytes, Value::Bytes(_)) => Ok(()),
@@ -373,8 +377,8 @@ impl<V: FieldVisitor> Walk<'_, '_, V> {
     fn element(
         &mut self,
         element: &mut usize,
-        take: impl FnOnce(&mut Self) -> Result<(), String>,
-    ) -> Result<(), String> {
+        take: impl FnOnce(&mut Self) -> Result<(), Box<Misfit>>,
+    ) -> Result<(), Box<Misfit>> {
         let index = *element;
         *element += 1;
         if self.visitor.enter(Step::Index(index)) {
@@ -385,13 +389,13 @@ impl<V: FieldVisitor> Walk<'_, '_, V> {
         Ok(())
     }
 
-    fn number(&mut self, kind: Kind, value: Value<'_>) -> Result<(), String> {
-        let number = kind.number(value).ok_or("has another type on the wire than in the schema")?;
-        self.visitor.number(number)
+    fn number(&mut self, kind: Kind, value: Value<'_>) -> Result<(), Box<Misfit>> {
+        let Some(number) = kind.number(value) else { return Err(Misfit::OtherType.into()) };
+        Ok(self.visitor.number(number)?)
     }
 
     /// An entry of a map: its value, under its key's text.
-    fn map_entry(&mut self, at: usize, body: &[u8], depth: usize) -> Result<(), String> {
+    fn map_entry(&mut self, at: usize, body: &[u8], depth: usize) -> Result<(), Box<Misfit>> {
         let fields = self.types.get(at).map(|entry| (entry.fields.get(&1), entry.fields.get(&2)));
         let Some((Some(key_field), Some(value_field))) = fields else { return Ok(()) };
         let (mut key, mut entry) = (None, None);
@@ -405,7 +409,7 @@ impl<V: FieldVisitor> Walk<'_, '_, V> {
         }
         // Neither is written where it is its type's default.
         let key = match key {
-            Some(key) => key_text(key_field.kind, key).ok_or("the key of a map is not one")?,
+            Some(key) => key_text(key_field.kind, key).ok_or(Misfit::NotAKey)?,
             None if key_field.kind == Kind::Text => String::new(),
             None if key_field.kind == Kind::Bool => "false".into(),
             None => "0".into(),

@@ -13,6 +13,8 @@ use re_ros_msg::message_spec::{
 };
 
 use super::fields::{DEEPEST, FREE_STEPS, FieldVisitor, Step};
+use super::message_error::{MessageError, Misfit};
+use super::schema_error::SchemaError;
 
 /// A ROS 2 message's definition with those that it refers to.
 pub(crate) struct RosMessage {
@@ -27,12 +29,11 @@ impl RosMessage {
     /// Reads a definition.
     ///
     /// # Errors
-    /// One line: the text does not parse.
-    pub(crate) fn parse(name: &str, definition: &[u8]) -> Result<Self, String> {
-        let text =
-            std::str::from_utf8(definition).map_err(|_| "its ros2msg schema is not text".to_owned())?;
+    /// [`SchemaError`]: it is not text, or does not parse.
+    pub(crate) fn parse(name: &str, definition: &[u8]) -> Result<Self, SchemaError> {
+        let text = std::str::from_utf8(definition).map_err(|_| SchemaError::NotText)?;
         let parsed = MessageSchema::parse(name, &without_literals(text))
-            .map_err(|error| format!("its ros2msg schema does not parse: {error:#}").replace('\n', " "))?;
+            .map_err(|error| SchemaError::Definition { what: format!("{error:#}").replace('\n', " ") })?;
         let dependencies =
             parsed.dependencies.into_iter().map(|spec| (short_name(&spec.name), spec)).collect();
         Ok(RosMessage { spec: parsed.spec, dependencies })
@@ -41,25 +42,25 @@ impl RosMessage {
     /// Shows a message to a visitor.
     ///
     /// # Errors
-    /// One line: the message does not fit its definition, or a wanted field is no number.
-    pub(crate) fn visit(&self, message: &[u8], visitor: &mut impl FieldVisitor) -> Result<(), String> {
+    /// [`MessageError`]: the message does not fit its definition, or a wanted field is no number.
+    pub(crate) fn visit(&self, message: &[u8], visitor: &mut impl FieldVisitor) -> Result<(), MessageError> {
         let (encapsulation, body) = message
             .split_at_checked(ENCAPSULATION_BYTES)
-            .ok_or_else(|| format!("{} bytes are not a CDR message", message.len()))?;
+            .ok_or(MessageError::NotCdr { bytes: message.len() })?;
         // The second byte is the representation: plain CDR, big or little endian.
         match encapsulation[1] {
-            0 => self.walk(CdrReader::<BigEndian>::new(body), visitor),
-            1 => self.walk(CdrReader::<LittleEndian>::new(body), visitor),
-            other => Err(format!("CDR representation {other} is not read; plain CDR is 0 or 1")),
+            0 => self.walk(CdrReader::<BigEndian>::new(body), visitor)?,
+            1 => self.walk(CdrReader::<LittleEndian>::new(body), visitor)?,
+            code => return Err(MessageError::Misfit(Misfit::Representation { code }.into())),
         }
-        .map_err(|what| format!("does not fit its schema: {what}"))
+        Ok(())
     }
 
     fn walk<B: CdrEndian>(
         &self,
         reader: CdrReader<'_, B>,
         visitor: &mut impl FieldVisitor,
-    ) -> Result<(), String> {
+    ) -> Result<(), Box<Misfit>> {
         let steps = reader.remaining() + FREE_STEPS;
         Walk { definition: self, reader, steps }.message(&self.spec, Some(visitor), 0)
     }
@@ -90,8 +91,9 @@ struct Walk<'d, 'm, B: CdrEndian> {
 }
 
 impl<'d, B: CdrEndian> Walk<'d, '_, B> {
-    fn spend(&mut self) -> Result<(), String> {
-        self.steps = self.steps.checked_sub(1).ok_or("it has far more fields than bytes")?;
+    fn spend(&mut self) -> Result<(), Box<Misfit>> {
+        let Some(left) = self.steps.checked_sub(1) else { return Err(Misfit::Endless.into()) };
+        self.steps = left;
         Ok(())
     }
 
@@ -100,15 +102,15 @@ impl<'d, B: CdrEndian> Walk<'d, '_, B> {
         spec: &'d MessageSpecification,
         mut visitor: Option<&mut V>,
         depth: usize,
-    ) -> Result<(), String> {
+    ) -> Result<(), Box<Misfit>> {
         if depth > DEEPEST {
-            return Err(format!("`{}` lies more than {DEEPEST} messages deep", spec.name));
+            return Err(Misfit::MessageTooDeep { message: spec.name.clone() }.into());
         }
         for field in &spec.fields {
             self.step(Step::Key(&field.name), visitor.as_deref_mut(), |walk, visitor| {
                 walk.value(spec, &field.ty, visitor, depth)
             })
-            .map_err(|what| format!("{}: {what}", field.name))?;
+            .map_err(|misfit| misfit.in_field(&field.name))?;
         }
         Ok(())
     }
@@ -118,8 +120,8 @@ impl<'d, B: CdrEndian> Walk<'d, '_, B> {
         &mut self,
         step: Step<'_>,
         visitor: Option<&mut V>,
-        walk_on: impl FnOnce(&mut Self, Option<&mut V>) -> Result<(), String>,
-    ) -> Result<(), String> {
+        walk_on: impl FnOnce(&mut Self, Option<&mut V>) -> Result<(), Box<Misfit>>,
+    ) -> Result<(), Box<Misfit>> {
         self.spend()?;
         let Some(visitor) = visitor else { return walk_on(self, None) };
         if !visitor.enter(step) {
@@ -136,14 +138,16 @@ impl<'d, B: CdrEndian> Walk<'d, '_, B> {
         ty: &'d Type,
         visitor: Option<&mut V>,
         depth: usize,
-    ) -> Result<(), String> {
+    ) -> Result<(), Box<Misfit>> {
         match ty {
             Type::BuiltIn(kind) => self.scalar(kind, visitor),
             Type::Complex(name) => {
-                let spec =
-                    self.definition.resolve(scope, name).ok_or_else(|| format!("{name:?} is not defined"))?;
+                let spec = self
+                    .definition
+                    .resolve(scope, name)
+                    .ok_or_else(|| Misfit::Undefined { message: format!("{name:?}") })?;
                 // A message of constants alone stands for an enumeration, which is its number on the wire.
-                match spec.underlying_type_if_enum_like().map_err(|error| error.to_string())? {
+                match spec.underlying_type_if_enum_like()? {
                     Some(kind) => self.scalar(kind, visitor),
                     None => self.message(spec, visitor, depth + 1),
                 }
@@ -151,12 +155,10 @@ impl<'d, B: CdrEndian> Walk<'d, '_, B> {
             Type::Array { ty, size } => {
                 let count = match size {
                     ArraySize::Fixed(count) => *count,
-                    ArraySize::Bounded(_) | ArraySize::Unbounded => {
-                        self.reader.read_sequence_length().map_err(|error| error.to_string())?
-                    }
+                    ArraySize::Bounded(_) | ArraySize::Unbounded => self.reader.read_sequence_length()?,
                 };
                 if count > self.reader.remaining() {
-                    return Err(format!("{count} elements in {} bytes", self.reader.remaining()));
+                    return Err(Misfit::LongArray { count, bytes: self.reader.remaining() }.into());
                 }
                 self.elements(scope, ty, count, visitor, depth)
             }
@@ -170,18 +172,15 @@ impl<'d, B: CdrEndian> Walk<'d, '_, B> {
         count: usize,
         mut visitor: Option<&mut V>,
         depth: usize,
-    ) -> Result<(), String> {
+    ) -> Result<(), Box<Misfit>> {
         if let (None, Type::BuiltIn(kind)) = (&visitor, ty)
             && let Some(size) = size_of(kind)
             && count > 0
         {
             // An image that nobody wants is passed over at once.
-            return self
-                .reader
-                .align(size)
-                .and_then(|()| self.reader.read_bytes(count.saturating_mul(size)))
-                .map(drop)
-                .map_err(|error| error.to_string());
+            self.reader.align(size)?;
+            self.reader.read_bytes(count.saturating_mul(size))?;
+            return Ok(());
         }
         for index in 0..count {
             self.step(Step::Index(index), visitor.as_deref_mut(), |walk, visitor| {
@@ -191,7 +190,11 @@ impl<'d, B: CdrEndian> Walk<'d, '_, B> {
         Ok(())
     }
 
-    fn scalar<V: FieldVisitor>(&mut self, kind: &BuiltInType, visitor: Option<&mut V>) -> Result<(), String> {
+    fn scalar<V: FieldVisitor>(
+        &mut self,
+        kind: &BuiltInType,
+        visitor: Option<&mut V>,
+    ) -> Result<(), Box<Misfit>> {
         let reader = &mut self.reader;
         let number = match kind {
             BuiltInType::Bool => reader.read_bool().map(|bit| f64::from(u8::from(bit))),
@@ -206,13 +209,13 @@ impl<'d, B: CdrEndian> Walk<'d, '_, B> {
             BuiltInType::Float32 => reader.read_f32().map(f64::from),
             BuiltInType::Float64 => reader.read_f64(),
             BuiltInType::String(_) => {
-                let text = reader.read_str().map_err(|error| error.to_string())?;
-                return visitor.map_or(Ok(()), |visitor| visitor.text(text));
+                let text = reader.read_str()?;
+                return Ok(visitor.map_or(Ok(()), |visitor| visitor.text(text))?);
             }
-            BuiltInType::WString(_) => return Err("wstring is not read".into()),
+            BuiltInType::WString(_) => return Err(Misfit::WideText.into()),
         };
-        let number = number.map_err(|error| error.to_string())?;
-        visitor.map_or(Ok(()), |visitor| visitor.number(number))
+        let number = number?;
+        Ok(visitor.map_or(Ok(()), |visitor| visitor.number(number))?)
     }
 }
 

@@ -24,6 +24,7 @@ use crate::mapping::TimeUnit;
 use crate::mdf::{MdfFile, MdfFrames};
 use crate::opened::{Bytes, Opened, Origin};
 use crate::record_log::RecordLog;
+use crate::schema_error::SchemaError;
 use crate::series::logs_of;
 use crate::source::log_name;
 use crate::table::{Table, number};
@@ -286,14 +287,14 @@ impl Topics {
         let decoder = if self.decoder_bytes <= DECODERS_BYTES {
             Decoder::new(&channel.encoding, schema)
         } else {
-            Err("is not looked into, since only so many schemas are".into())
+            Err(SchemaError::NoRoom)
         };
         let topic = TopicSurvey {
             mapping_topic: channel.topic.clone(),
             topic: channel.topic,
             encoding: channel.encoding,
             schema: schema.map_or(String::new(), |schema| schema.name.clone()),
-            problem: decoder.as_ref().err().cloned(),
+            problem: decoder.as_ref().err().map(SchemaError::to_string),
             decoder: decoder.ok(),
             ..TopicSurvey::default()
         };
