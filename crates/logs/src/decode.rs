@@ -259,7 +259,7 @@ mod tests {
             ("float64[] x", &[0, 1, 0, 0, 9], "does not fit its schema: x: unexpected end of input"),
             ("uint8[] x", &[0, 1, 0, 0, 9, 0, 0, 0, 1], "does not fit its schema: x: 9 elements in 1 bytes"),
             ("wstring x", &[0, 1, 0, 0, 0], "does not fit its schema: x: wstring is not read"),
-            ("N x", &[0, 1, 0, 0, 0], "does not fit its schema: x: Relative { name: \"N\" } is not defined"),
+            ("N x", &[0, 1, 0, 0, 0], "does not fit its schema: x: `N` is not defined"),
             (&cyclic, &[0, 1, 0, 0, 0], &deep),
         ] {
             let schema = schema("p/msg/M", "ros2msg", definition);

@@ -1,7 +1,5 @@
 //! Why a message does not decode.
 
-use re_ros_msg::message_spec::ParseError;
-
 use super::fields::{DEEPEST, ValueError};
 use super::protobuf_wire::WireError;
 
@@ -74,14 +72,11 @@ pub(crate) enum Misfit {
     #[error("the key of a map is not one")]
     NotAKey,
     /// The definition refers to a message that is not in it.
-    #[error("{message} is not defined")]
+    #[error("`{message}` is not defined")]
     Undefined {
-        /// The message's type, as the definition's parser writes it.
+        /// The message's type.
         message: String,
     },
-    /// A constant of what may be an enumeration is not of a built-in type.
-    #[error(transparent)]
-    Constants(ParseError),
     /// An array would be longer than its message.
     #[error("{count} elements in {bytes} bytes")]
     LongArray {
@@ -121,12 +116,5 @@ impl From<re_cdr::Error> for Box<Misfit> {
     #[cold]
     fn from(error: re_cdr::Error) -> Self {
         Box::new(Misfit::Cdr(error))
-    }
-}
-
-impl From<ParseError> for Box<Misfit> {
-    #[cold]
-    fn from(error: ParseError) -> Self {
-        Box::new(Misfit::Constants(error))
     }
 }

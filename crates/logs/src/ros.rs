@@ -2,15 +2,15 @@
 //!
 //! The definition's grammar is `re_ros_msg`'s, the primitives on the wire are `re_cdr`'s. The walk along the definition is
 //! here: it looks how much there is before it believes a length, how deep it is before it follows a type, and how far it has
-//! gone (arrays of messages without fields have elements, but no bytes that would end them).
+//! gone.
 
 use std::collections::HashMap;
 
 use re_cdr::{BigEndian, CdrEndian, CdrReader, LittleEndian};
-use re_ros_msg::MessageSchema;
 use re_ros_msg::message_spec::{
     ArraySize, BuiltInType, ComplexType, MessageSpecification, Type, message_package,
 };
+use re_ros_msg::{MessageSchema, is_schema_separator};
 
 use super::fields::{DEEPEST, FREE_STEPS, FieldVisitor, Step};
 use super::message_error::{MessageError, Misfit};
@@ -66,14 +66,21 @@ impl RosMessage {
     }
 
     fn resolve(&self, scope: &MessageSpecification, ty: &ComplexType) -> Option<&MessageSpecification> {
-        let full_name = match ty {
-            ComplexType::Absolute { package, name } => format!("{package}/{name}"),
-            ComplexType::Relative { name } => match message_package(&scope.name) {
-                Some(package) => format!("{package}/{name}"),
-                None => name.clone(),
-            },
+        let package = match ty {
+            ComplexType::Absolute { .. } => None,
+            ComplexType::Relative { .. } => message_package(&scope.name),
         };
+        let name = name_of(ty);
+        let full_name = package.map_or(name.clone(), |package| format!("{package}/{name}"));
         self.dependencies.get(&short_name(&full_name))
+    }
+}
+
+/// A type's name, as definitions write it.
+fn name_of(ty: &ComplexType) -> String {
+    match ty {
+        ComplexType::Absolute { package, name } => format!("{package}/{name}"),
+        ComplexType::Relative { name } => name.clone(),
     }
 }
 
@@ -145,12 +152,8 @@ impl<'d, B: CdrEndian> Walk<'d, '_, B> {
                 let spec = self
                     .definition
                     .resolve(scope, name)
-                    .ok_or_else(|| Misfit::Undefined { message: format!("{name:?}") })?;
-                // A message of constants alone stands for an enumeration, which is its number on the wire.
-                match spec.underlying_type_if_enum_like()? {
-                    Some(kind) => self.scalar(kind, visitor),
-                    None => self.message(spec, visitor, depth + 1),
-                }
+                    .ok_or_else(|| Misfit::Undefined { message: name_of(name) })?;
+                self.message(spec, visitor, depth + 1)
             }
             Type::Array { ty, size } => {
                 let count = match size {
@@ -231,27 +234,46 @@ fn size_of(kind: &BuiltInType) -> Option<usize> {
     })
 }
 
-/// The definition without comments, constants and default values, which say nothing of where the fields lie. The crate's parser of
-/// literals panics on a lone quotation mark (found by fuzzing).
+/// What a message without fields, or of constants alone, has on the wire: a structure in C has a member, and ROS 2 sends it.
+const ONLY_MEMBER: &str = "uint8 structure_needs_at_least_one_member\n";
+
+/// The definition without comments, constants and default values, which say nothing of where the fields lie, and with the member that a
+/// message without fields has. The crate's parser of literals panics on a lone quotation mark (found by fuzzing).
 fn without_literals(definition: &str) -> String {
-    let mut fields = String::with_capacity(definition.len());
+    let mut fields = String::with_capacity(definition.len() + ONLY_MEMBER.len());
+    let mut is_empty = true;
     for line in definition.lines() {
         let line = line.split('#').next().unwrap_or_default();
         let mut words = line.split_whitespace();
         match (words.next(), words.next(), words.next()) {
             (Some(_), Some(name), next)
                 if name.contains('=') || next.is_some_and(|next| next.starts_with('=')) => {}
-            (Some(kind), Some(name), _) => fields.extend([kind, " ", name]),
-            _ => fields.push_str(line),
+            (Some(kind), Some(name), _) => {
+                is_empty &= kind == "MSG:";
+                fields.extend([kind, " ", name]);
+            }
+            _ => {
+                if is_schema_separator(line) && std::mem::replace(&mut is_empty, true) {
+                    fields.push_str(ONLY_MEMBER);
+                }
+                fields.push_str(line);
+            }
         }
         fields.push('\n');
+    }
+    if is_empty {
+        fields.push_str(ONLY_MEMBER);
     }
     fields
 }
 
 #[cfg(test)]
 mod tests {
+    use seepd_signals::Signal;
+
     use super::*;
+    use crate::fields::{FieldTree, Picked};
+    use crate::mapping::SignalMapping;
 
     #[test]
     fn literals_are_left_out_and_fields_stay() {
@@ -275,5 +297,21 @@ mod tests {
         assert_eq!(lines, expected);
         let message = RosMessage::parse("press/Axis", definition.as_bytes()).unwrap();
         assert_eq!(message.spec.fields.len(), 5);
+    }
+
+    /// Bytes of an independent implementation: rosbags 0.11, `serialize_cdr`, with a `Mode` of constants alone and `std_msgs/Empty`.
+    #[test]
+    fn reference_messages_without_fields_are_a_byte() {
+        let separator = "=".repeat(80);
+        let definition = format!(
+            "Mode mode\nstd_msgs/Empty nothing\nfloat32 command\n{separator}\nMSG: press/Mode\nuint8 OFF=0\nuint8 ON=1\n\
+             {separator}\nMSG: std_msgs/Empty\n"
+        );
+        let message = RosMessage::parse("press/msg/Axis", definition.as_bytes()).unwrap();
+        let mapping = SignalMapping { field: "command".into(), ..SignalMapping::default() };
+        let tree = FieldTree::of([(Signal::Command, &mapping)].into_iter()).unwrap();
+        let mut picked = Picked::default();
+        message.visit(&[0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x3f], &mut tree.picker(&mut picked)).unwrap();
+        assert_eq!(picked.values, [(Signal::Command, 0.5)]);
     }
 }
