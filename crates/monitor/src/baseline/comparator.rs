@@ -217,7 +217,11 @@ impl BaselineComparator {
             let counted =
                 explained.as_ref().map_or(1.0, |explained| cause::share_of_seal(&explained.explanation));
             let residual_m2 = counted * estimate.leak_residual_m2;
-            self.cusum.take(residual_m2, &self.limits(relative, load_change.is_some()));
+            let limits = CusumLimits {
+                is_doubtful: plain.out_of_distribution.score > 1.0,
+                ..self.limits(relative, load_change.is_some())
+            };
+            self.cusum.take(residual_m2, &limits);
             if self.cusum.cycles_since_onset() == 0 {
                 self.trend.clear();
             } else {
@@ -241,6 +245,7 @@ impl BaselineComparator {
             reference_m2: relative.kind(knows_load, &baseline.mean).reference_m2,
             deviation_m2,
             threshold: relative.file().detection.threshold,
+            is_doubtful: false,
         }
     }
 

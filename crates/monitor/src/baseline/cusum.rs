@@ -1,11 +1,15 @@
 //! Has the machine left its baseline for good? Two cumulative sums over cycles (Page, "Continuous inspection schemes", Biometrika 41
-//! (1954)), one for a leak and one for the opposite.
+//! (1954)), one for a leak and one for the opposite. No doubtful cycle alone brings either to its threshold (after the two-in-a-row rule of Lucas
+//! and Crosier, "Robust CUSUM", Communications in Statistics A 11 (1982)): the first one after a pause, for instance, is like no other.
 
 use seepd_model::relative::DRIFT_ALLOWANCE;
 use serde::{Deserialize, Serialize};
 
 /// The sums end here, over the threshold: what has gone is soon known to have gone.
 const CEILING: f64 = 2.0;
+
+/// The most that a doubtful cycle adds, over the threshold.
+const LARGEST_DOUBTFUL_STEP: f64 = 0.6;
 
 /// What the sums say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -55,12 +59,18 @@ pub struct CusumLimits {
     pub deviation_m2: f64,
     /// Threshold of the sums.
     pub threshold: f64,
+    /// Whether the cycle is unlike all that training has seen, and counts by an explanation that no other may bear out.
+    pub is_doubtful: bool,
 }
 
 impl Cusum {
     /// Takes a cycle's leak residual, m².
     pub fn take(&mut self, leak_residual_m2: f64, limits: &CusumLimits) {
-        let step = |towards: f64| (towards - limits.reference_m2) / limits.deviation_m2 - DRIFT_ALLOWANCE;
+        let largest =
+            if limits.is_doubtful { LARGEST_DOUBTFUL_STEP * limits.threshold } else { f64::INFINITY };
+        let step = |towards: f64| {
+            ((towards - limits.reference_m2) / limits.deviation_m2 - DRIFT_ALLOWANCE).min(largest)
+        };
         let ceiling = CEILING * limits.threshold;
         let before = self.found;
         self.up = (self.up + step(leak_residual_m2)).clamp(0.0, ceiling);
@@ -97,7 +107,8 @@ mod tests {
     use super::*;
     use seepd_sim::noise::Noise;
 
-    const LIMITS: CusumLimits = CusumLimits { reference_m2: 1.0, deviation_m2: 2.0, threshold: 10.0 };
+    const LIMITS: CusumLimits =
+        CusumLimits { reference_m2: 1.0, deviation_m2: 2.0, threshold: 10.0, is_doubtful: false };
 
     fn cycles_until(finding: CusumFinding, level: f64) -> u64 {
         let mut cusum = Cusum::default();
@@ -116,6 +127,21 @@ mod tests {
         assert_eq!(cycles_until(CusumFinding::Improved, -7.0), 4);
         // Up to reference and allowance it never is.
         assert_eq!(cycles_until(CusumFinding::Leak, 2.0), 0);
+    }
+
+    #[test]
+    fn no_doubtful_cycle_alone_is_a_leak() {
+        let doubtful = CusumLimits { is_doubtful: true, ..LIMITS };
+        let mut cusum = Cusum::default();
+        for level in [1e6, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1e6, 0.0] {
+            cusum.take(level, if level == 0.0 { &LIMITS } else { &doubtful });
+            assert_eq!(cusum.finding(), CusumFinding::None);
+        }
+        // One after the other is another matter, and so is one that is like training.
+        cusum.take(1e6, &doubtful);
+        cusum.take(1e6, &doubtful);
+        assert_eq!(cusum.finding(), CusumFinding::Leak);
+        assert_eq!(cycles_until(CusumFinding::Leak, 1e6), 1);
     }
 
     #[test]
