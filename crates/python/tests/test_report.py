@@ -94,6 +94,24 @@ def test_conditions_trends_and_outliers(store: Path) -> None:
     ]
 
 
+def test_logs_whose_clock_begins_anew_are_in_the_order_of_their_names() -> None:
+    """A CSV's time often begins at zero: the first log, the longest, must not be taken for the last."""
+
+    def undated(number: int, flow: float, hours: int) -> dict[str, Any]:
+        return row("m0", number, flow, condition=None, t_start_ns=0, t_end_ns=hours * DAY // 24)
+
+    rows = [undated(1, 0.0, 8), undated(2, 1.0, 2), undated(3, 2.5, 1)]
+    (found,) = questions.conditions(rows)
+    assert (found.flag, found.leak_flow_lpm, found.dated, found.trend_lpm) == ("severe", 2.5, False, None)
+    assert found.course == ((1, 0.0), (2, 1.0), (3, 2.5))
+    # Dates say more than names, and a log that runs into the next one is no clock that begins anew.
+    year_2026 = 56 * 366 * DAY
+    late = {"condition": None, "t_start_ns": year_2026 + DAY, "t_end_ns": year_2026 + 2 * DAY}
+    early = {"condition": None, "t_start_ns": year_2026, "t_end_ns": year_2026 + DAY + 1}
+    (found,) = questions.conditions([row("m0", 1, 2.5, **late), row("m0", 2, 0.1, **early)])
+    assert (found.flag, found.dated) == ("severe", True)
+
+
 def test_divergence_between_models(store: Path) -> None:
     rows = Store(str(store)).rows("logs").to_pylist()
     found = questions.divergences(rows, "1", "2")

@@ -6,12 +6,15 @@ import statistics
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 #: ns of a day.
 DAY_NS = 86_400e9
+#: 2000-01-01: clocks that begin with a log, or with a machine's power, are before it.
+YEAR_2000_NS = 946_684_800 * 10**9
 #: Flags from good to bad.
 FLAGS = ("healthy", "no_estimate", "watch", "leak", "severe")
 #: Median absolute deviations, as standard deviations, from which a machine is unlike its series.
@@ -22,7 +25,10 @@ LEAST_MACHINES = 5
 
 @dataclass(frozen=True)
 class Condition:
-    """A machine by its last log, and how its leak has gone."""
+    """A machine by its last log, and how its leak has gone.
+
+    Logs whose clock begins anew with each have no dates: they are taken in the order of their names, and have no trend.
+    """
 
     machine: str
     series: str
@@ -34,6 +40,8 @@ class Condition:
     trend_lpm: float | None
     trend_error_lpm: float | None
     condition: str | None
+    dated: bool
+    #: End of each log, ns, or its number where logs have no dates; and its leak, L/min.
     course: tuple[tuple[int, float], ...]
 
     @property
@@ -77,11 +85,29 @@ def conditions(rows: Sequence[dict[str, Any]]) -> list[Condition]:
     return sorted(found, key=lambda each: (-FLAGS.index(each.flag), -(each.leak_flow_lpm or 0.0), each.machine))
 
 
+def in_order(rows: Sequence[dict[str, Any]]) -> tuple[list[dict[str, Any]], bool]:
+    """A machine's logs from the first to the last, and whether their stamps say so: they are dates, or at least follow each other.
+
+    Logs without a cycle have no stamps, and come first.
+    """
+    by_name = sorted(rows, key=lambda row: row["log"])
+    stamped = [row for row in by_name if row["t_end_ns"] is not None]
+    by_time = sorted(stamped, key=lambda row: (row["t_start_ns"], row["t_end_ns"]))
+    are_dates = all(row["t_start_ns"] >= YEAR_2000_NS for row in stamped)
+    follow = all(before["t_end_ns"] <= after["t_start_ns"] for before, after in pairwise(by_time))
+    if not (are_dates or follow):
+        return by_name, False
+    return [row for row in by_name if row["t_end_ns"] is None] + by_time, True
+
+
 def _condition(machine: str, rows: list[dict[str, Any]]) -> Condition:
-    good = [row for row in rows if row["status"] == "ok"]
-    good.sort(key=lambda row: (row["t_end_ns"] or 0, row["log"]))
-    sized = [(row["t_end_ns"], row["leak_flow_lpm"]) for row in good if row["leak_flow_lpm"] is not None]
-    trend = _trend(sized)
+    good, dated = in_order([row for row in rows if row["status"] == "ok"])
+    sized = [
+        (row["t_end_ns"] if dated else number, row["leak_flow_lpm"])
+        for number, row in enumerate(good, 1)
+        if row["leak_flow_lpm"] is not None
+    ]
+    trend = _trend(sized) if dated else None
     last = good[-1] if good else None
     return Condition(
         machine,
@@ -93,6 +119,7 @@ def _condition(machine: str, rows: list[dict[str, Any]]) -> Condition:
         trend[0] if trend else None,
         trend[1] if trend else None,
         last["condition"] if last else None,
+        dated,
         tuple(sized),
     )
 
@@ -153,10 +180,11 @@ def models(rows: Sequence[dict[str, Any]]) -> list[tuple[str, int]]:
 def outliers(rows: Sequence[dict[str, Any]]) -> list[tuple[str, str, str, float, float]]:
     """Machines unlike the rest of their series: machine, series, number, its value, and how many deviations it is off."""
     found = []
-    last: dict[tuple[str, str], dict[str, Any]] = {}
-    for row in sorted(rows, key=lambda row: row["t_end_ns"] or 0):
+    of_machine: dict[tuple[str, str], list[dict[str, Any]]] = defaultdict(list)
+    for row in rows:
         if row["status"] == "ok":
-            last[row["series"], row["machine"]] = row
+            of_machine[row["series"], row["machine"]].append(row)
+    last = {machine: in_order(logs)[0][-1] for machine, logs in of_machine.items()}
     for series in sorted({series for series, _ in last}):
         for number in ("leak_flow_lpm", "novelty"):
             of_series = {m: row[number] for (s, m), row in last.items() if s == series and row[number] is not None}

@@ -21,6 +21,7 @@ body { font: 15px/1.45 system-ui, sans-serif; color: #222; max-width: 1000px; ma
 h1 { font-size: 1.5rem } h2 { font-size: 1.15rem; margin-top: 2.2rem } p.note { color: #555 }
 table { border-collapse: collapse; width: 100% } th, td { text-align: left; padding: .25rem .6rem; border-bottom: 1px solid #ddd }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums } td svg { vertical-align: middle }
+.wide { overflow-x: auto }
 .flag { padding: .05rem .5rem; border-radius: .6rem; white-space: nowrap }
 .healthy { background: #dff0e0 } .no_estimate { background: #e6e6e6 } .watch { background: #fdf0c8 }
 .leak { background: #fbd9b8 } .severe { background: #f4bcbc }
@@ -45,7 +46,7 @@ def report(store: str, against: tuple[str, str] | None = None, s3: Mapping[str, 
     parts += [_effects(effects), _outliers(last), _failures([*rows, *diagnosed])]
     body = "\n".join(part for part in parts if part)
     return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Fleet</title><style>{_STYLE}</style></head>'
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>Fleet</title><style>{_STYLE}</style></head>'
         f"<body>{body}</body></html>\n"
     )
 
@@ -67,7 +68,7 @@ def _table(heads: Sequence[str], lines: Iterable[Sequence[str]], numbers: Sequen
         for line in lines[:MOST_LINES]
     )
     more = f'<p class="note">and {len(lines) - MOST_LINES} more, in the data set</p>' if len(lines) > MOST_LINES else ""
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
+    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>{more}'
 
 
 def _flag(flag: str) -> str:
@@ -124,8 +125,17 @@ def _conditions(conditions: Sequence[Condition]) -> str:
             ]
         )
     heads = ["machine", "series", "condition", "L/min", "in 30 days", "course", "logs", "beside the seal"]
-    worse = sum(each.gets_worse for each in conditions)
-    note = f'<p class="note">{worse} get worse: a line through their logs rises by more than chance does once in 200 (▲).</p>'
+    undated = sum(not each.dated for each in conditions)
+    notes = []
+    if undated < len(conditions):
+        worse = sum(each.gets_worse for each in conditions)
+        notes.append(f"{worse} get worse: a line through their logs rises by more than chance does once in 200 (▲).")
+    if undated:
+        notes.append(
+            f"The logs of {undated} have no dates, since their clocks begin anew with each: they are taken in the order of their names, "
+            "and have no trend."
+        )
+    note = f'<p class="note">{" ".join(notes)}</p>'
     return "<h2>Condition and trend</h2>" + note + _table(heads, lines, (3, 4, 6))
 
 
