@@ -42,6 +42,45 @@ const WORDS: [(Signal, &[&str]); 8] = [
     (Signal::Load, &["load", "force"]),
 ];
 
+/// Words that say that a field is another quantity, whatever else its name has: `pump_temp` is no pressure.
+const OTHER_QUANTITIES: [&str; 14] = [
+    "temp",
+    "temperature",
+    "accel",
+    "acceleration",
+    "vel",
+    "velocity",
+    "speed",
+    "rpm",
+    "flow",
+    "level",
+    "vibration",
+    "humidity",
+    "count",
+    "counter",
+];
+
+/// Shorter words are looked for at the beginning of a part alone: `p_1` is in `temp_1`, `cap` in `escape`.
+const LONG_ENOUGH: usize = 5;
+
+/// The parts of a name in small letters, between other characters and at large letters, each with where it begins.
+fn parts(path: &str) -> Vec<(usize, String)> {
+    let mut parts: Vec<(usize, String)> = Vec::new();
+    let mut before = ' ';
+    for (at, letter) in path.char_indices() {
+        if letter.is_ascii_alphanumeric() {
+            let begins = !before.is_ascii_alphanumeric()
+                || (letter.is_ascii_uppercase() && before.is_ascii_lowercase());
+            match parts.last_mut() {
+                Some((_, part)) if !begins => part.push(letter.to_ascii_lowercase()),
+                _ => parts.push((at, letter.to_ascii_lowercase().to_string())),
+            }
+        }
+        before = letter;
+    }
+    parts
+}
+
 /// Marks the fields with what they seem to be, and gives the mapping.
 pub(crate) fn guess(topics: &mut [TopicSurvey]) -> BTreeMap<Signal, Guess> {
     let mut mapping: BTreeMap<Signal, Guess> = BTreeMap::new();
@@ -68,7 +107,12 @@ fn guess_field(topic: &str, field: &FieldSurvey) -> Option<(Signal, i32, f64)> {
     if topic.ends_with("/truth") || field.least == field.largest {
         return None;
     }
-    let path = field.path.to_lowercase();
+    let parts = parts(&field.path);
+    if parts.iter().any(|(_, part)| OTHER_QUANTITIES.contains(&part.as_str())) {
+        return None;
+    }
+    let path = field.path.to_ascii_lowercase();
+    let begins = |at: usize| parts.iter().any(|(begin, _)| *begin == at);
     let words: Vec<&str> = path.split(|c: char| !c.is_ascii_alphanumeric() && c != '_').collect();
     let mut best: Option<(Signal, i32, f64)> = None;
     for (signal, known) in WORDS {
@@ -77,7 +121,11 @@ fn guess_field(topic: &str, field: &FieldSurvey) -> Option<(Signal, i32, f64)> {
                 40
             } else if words.contains(word) {
                 30
-            } else if word.len() > 2 && path.contains(word) {
+            } else if word.len() > 2
+                && path
+                    .match_indices(word)
+                    .any(|(at, _)| word.len() >= LONG_ENOUGH && !word.contains('_') || begins(at))
+            {
                 20
             } else {
                 continue;
@@ -104,4 +152,46 @@ fn scale_to_si(signal: Signal, largest: f64) -> Option<f64> {
         Signal::CycleStart => &[],
     };
     candidates.iter().find(|(low, high, _)| (*low..=*high).contains(&largest)).map(|(_, _, scale)| *scale)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn guessed(path: &str, largest: f64) -> Option<Signal> {
+        let field = FieldSurvey { path: path.into(), count: 1, least: 0.0, largest, guess: None };
+        guess_field("", &field).map(|(signal, ..)| signal)
+    }
+
+    #[test]
+    fn names_are_told_by_their_words() {
+        for (path, largest, signal) in [
+            ("valve_cmd", 0.9, Signal::Command),
+            ("axis.u", 80.0, Signal::Command),
+            ("istposition", 0.3, Signal::Position),
+            ("PumpPressure", 160.0, Signal::PSupply),
+            ("press.p_1", 80.0, Signal::PCap),
+            ("RodPressure", 5e6, Signal::PRod),
+            ("setpoint_mm", 300.0, Signal::Demand),
+        ] {
+            assert_eq!(guessed(path, largest), Some(signal), "{path}");
+        }
+    }
+
+    /// Names of a real rig's log (and some more) that have a signal's letters in another word.
+    #[test]
+    fn other_quantities_are_no_signals() {
+        for (path, largest) in [
+            ("Temp_1", 12297.0),
+            ("Temp_3", 16383.0),
+            ("Internal_Temp", 24.0),
+            ("pump_temp", 45.0),
+            ("escape_a", 100.0),
+            ("product", 100.0),
+            ("valve_flow", 80.0),
+            ("PumpSpeed", 1450.0),
+        ] {
+            assert_eq!(guessed(path, largest), None, "{path}");
+        }
+    }
 }
