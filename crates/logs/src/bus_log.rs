@@ -4,7 +4,7 @@ use seepd_signals::Sample;
 
 use super::Source;
 use crate::can::decode::FrameDecoder;
-use crate::can::logged::{FrameLog, LoggedFrame};
+use crate::can::logged::{FrameError, FrameLog, LoggedFrame};
 use crate::error::LogError;
 
 /// Frames after which stamps that share one second are no coincidence.
@@ -77,7 +77,7 @@ impl<'i> BusLogSource<'i> {
 }
 
 impl Unreadable {
-    pub(crate) fn take(&mut self, what: &str, frames: &dyn FrameLog) {
+    pub(crate) fn take(&mut self, what: FrameError, frames: &dyn FrameLog) {
         self.count += 1;
         self.first.get_or_insert_with(|| format!("{}: {what}", frames.place()));
     }

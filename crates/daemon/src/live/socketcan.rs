@@ -13,8 +13,10 @@ use nix::cmsg_space;
 use nix::errno::Errno;
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, recvmsg, setsockopt, sockopt};
 use nix::sys::time::TimeSpec;
+use seepd_logs::can::Frame;
 use seepd_logs::can::decode::FrameDecoder;
 use seepd_logs::can::linux::{self, FD_BYTES};
+use seepd_logs::can::logged::FrameError;
 use seepd_logs::frame_decoder;
 use seepd_signals::Sample;
 use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
@@ -281,7 +283,7 @@ impl FramePort {
 
     /// The next frame that is there, with its stamp; `None` where there is none.
     #[expect(clippy::type_complexity, reason = "a frame or what is wrong with it, and when it came")]
-    fn receive(&mut self) -> io::Result<Option<(Result<seepd_logs::can::Frame, &'static str>, Option<i64>)>> {
+    fn receive(&mut self) -> io::Result<Option<(Result<Frame, FrameError>, Option<i64>)>> {
         let mut bytes = [0u8; FD_BYTES];
         let mut parts = [IoSliceMut::new(&mut bytes)];
         let fd = self.socket.as_raw_fd();
@@ -311,7 +313,7 @@ impl FramePort {
         &mut self,
         clock: &Clock,
         time: Duration,
-        mut take: impl FnMut(&seepd_logs::can::Frame, i64),
+        mut take: impl FnMut(&Frame, i64),
     ) -> io::Result<()> {
         let listening = async {
             loop {

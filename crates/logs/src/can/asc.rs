@@ -1,5 +1,6 @@
 //! The text log of Vector's tools (`.asc`): `   0.015991 1  222  Rx   d 8 01 02 03 04 05 06 07 08`.
 
+use super::frame_error::FrameError;
 use super::logged::{Interface, LoggedFrame};
 use super::words::{bytes_of_code, fixed_point, number, number_u32, push_words, words};
 use super::{Content, Frame, Identifier, MOST_BYTES};
@@ -24,11 +25,11 @@ impl Asc {
     }
 
     /// A line's frame; `None` for headers, comments and events.
-    pub(super) fn take(&mut self, line: &[u8]) -> Option<Result<LoggedFrame, &'static str>> {
+    pub(super) fn take(&mut self, line: &[u8]) -> Option<Result<LoggedFrame, FrameError>> {
         let mut words = words(line);
         let first = words.next()?;
         let Some(stamp_ns) = fixed_point(first, 9) else {
-            return self.header(first, words).then_some(Err("it is neither a frame nor a header"));
+            return self.header(first, words).then_some(Err(FrameError::UnknownLine));
         };
         self.at_ns = if self.relative { self.at_ns.saturating_add(stamp_ns) } else { stamp_ns };
         let time_ns = self.begin_ns.saturating_add(self.at_ns);
@@ -42,7 +43,7 @@ impl Asc {
             return None;
         };
         Some(frame.and_then(|frame| {
-            let interface = Interface::new(interface).ok_or("its channel is not a number")?;
+            let interface = Interface::new(interface).ok_or(FrameError::ChannelNotNumber)?;
             Ok(LoggedFrame { time_ns, interface, frame })
         }))
     }
@@ -70,7 +71,7 @@ impl Asc {
     fn classic_frame<'w>(
         &self,
         mut words: impl Iterator<Item = &'w [u8]>,
-    ) -> Option<Result<Frame, &'static str>> {
+    ) -> Option<Result<Frame, FrameError>> {
         let id = words.next()?;
         if id.eq_ignore_ascii_case(b"ErrorFrame") {
             return Some(Ok(Frame::new(Identifier::Standard(0), Content::Error)));
@@ -79,12 +80,12 @@ impl Asc {
             return None;
         }
         Some(self.identifier(id).and_then(|identifier| {
-            let kind = words.next().ok_or("its frame is cut short")?;
+            let kind = words.next().ok_or(FrameError::FrameCutShort)?;
             if kind.eq_ignore_ascii_case(b"r") {
                 return Ok(Frame::new(identifier, Content::Remote));
             }
             let code = words.next().and_then(|code| number_u32(code, 16));
-            let bytes = code.and_then(bytes_of_code).ok_or("its length is none of a frame")?;
+            let bytes = code.and_then(bytes_of_code).ok_or(FrameError::Length)?;
             let mut frame = Frame::new(identifier, Content::Data);
             push_words(&mut frame, &mut words, bytes.min(8), self.base)?;
             Ok(frame)
@@ -92,8 +93,8 @@ impl Asc {
     }
 
     /// What follows the channel of an FD frame: direction, identifier, name if there is one, two flags, length code, length, data.
-    fn fd_frame<'w>(&self, mut words: impl Iterator<Item = &'w [u8]>) -> Result<Frame, &'static str> {
-        let mut next = || words.next().ok_or("its frame is cut short");
+    fn fd_frame<'w>(&self, mut words: impl Iterator<Item = &'w [u8]>) -> Result<Frame, FrameError> {
+        let mut next = || words.next().ok_or(FrameError::FrameCutShort);
         let _direction = next()?;
         let id = next()?;
         if id.eq_ignore_ascii_case(b"ErrorFrame") {
@@ -107,9 +108,9 @@ impl Asc {
             next()?;
         }
         next()?;
-        let code = number(next()?, 16).ok_or("its length is none of a frame")?;
+        let code = number(next()?, 16).ok_or(FrameError::Length)?;
         let bytes = number(next()?, 10).and_then(|bytes| usize::try_from(bytes).ok());
-        let bytes = bytes.filter(|bytes| *bytes <= MOST_BYTES).ok_or("its length is none of a frame")?;
+        let bytes = bytes.filter(|bytes| *bytes <= MOST_BYTES).ok_or(FrameError::Length)?;
         if bytes == 0 && code > 0 {
             return Ok(Frame::new(identifier, Content::Remote));
         }
@@ -119,14 +120,14 @@ impl Asc {
     }
 
     /// An identifier, which has 29 bits where it ends in an x.
-    fn identifier(&self, text: &[u8]) -> Result<Identifier, &'static str> {
+    fn identifier(&self, text: &[u8]) -> Result<Identifier, FrameError> {
         let extended = text.strip_suffix(b"x").or_else(|| text.strip_suffix(b"X"));
         let bits = number_u32(extended.unwrap_or(text), self.base);
-        let bits = bits.ok_or("its identifier is not a number, but perhaps a name")?;
+        let bits = bits.ok_or(FrameError::IdentifierPerhapsName)?;
         match (extended, bits) {
             (None, 0..=0x7ff) => Ok(Identifier::Standard(bits as u16)),
             (Some(_), 0..=0x1fff_ffff) => Ok(Identifier::Extended(bits)),
-            _ => Err("its identifier is none of CAN"),
+            _ => Err(FrameError::IdentifierNotOfCan),
         }
     }
 }
@@ -139,14 +140,15 @@ fn is_direction(word: &[u8]) -> bool {
 mod tests {
     use super::*;
 
-    type Found = Result<(i64, String, Identifier, Content, Vec<u8>), &'static str>;
+    /// A frame, or the message of its error.
+    type Found = Result<(i64, String, Identifier, Content, Vec<u8>), String>;
 
     fn frames(text: &str) -> Vec<Found> {
         let mut asc = Asc::new();
         let lines = text.lines().filter_map(|line| asc.take(line.as_bytes()));
         lines
             .map(|line| {
-                line.map(|LoggedFrame { time_ns, interface, frame }| {
+                line.map_err(|error| error.to_string()).map(|LoggedFrame { time_ns, interface, frame }| {
                     let interface = String::from_utf8_lossy(interface.name()).into_owned();
                     (time_ns, interface, frame.identifier, frame.content, frame.data().to_vec())
                 })
@@ -177,9 +179,9 @@ mod tests {
                 Ok((ns(700_000_000), "1".into(), Standard(0), Error, vec![])),
                 Ok((ns(1_000_000_000), "3".into(), Standard(0x33), Data, fd)),
                 Ok((ns(1_100_000_000), "1".into(), Extended(0x1ff), Data, vec![0xaa])),
-                Err("its identifier is not a number, but perhaps a name"),
-                Err("its data is cut short"),
-                Err("it is neither a frame nor a header"),
+                Err("its identifier is not a number, but perhaps a name".into()),
+                Err("its data is cut short".into()),
+                Err("it is neither a frame nor a header".into()),
             ]
         );
     }

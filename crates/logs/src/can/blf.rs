@@ -6,6 +6,7 @@ use std::io::{self, Read};
 
 use flate2::read::ZlibDecoder;
 
+use super::frame_error::FrameError;
 use super::logged::{FrameLog, Interface, LoggedFrame, NextFrame};
 use super::{Content, Frame, Identifier, MOST_BYTES};
 use crate::civil;
@@ -61,7 +62,7 @@ struct Damage {
 
 /// What comes next in the unpacked objects.
 enum Next {
-    Frame(Result<LoggedFrame, &'static str>),
+    Frame(Result<LoggedFrame, FrameError>),
     /// An object of another kind.
     Other,
     /// The rest is of an object that goes on in the next container.
@@ -199,7 +200,7 @@ impl<R: Read> Blf<R> {
     }
 
     /// An object's frame; `None` for other kinds.
-    fn frame(&self, object: &[u8], kind: u32) -> Option<Result<LoggedFrame, &'static str>> {
+    fn frame(&self, object: &[u8], kind: u32) -> Option<Result<LoggedFrame, FrameError>> {
         let is_frame = matches!(
             kind,
             CAN_MESSAGE
@@ -215,7 +216,7 @@ impl<R: Read> Blf<R> {
         }
         let header_bytes = usize::from(u16::from_le_bytes([object[4], object[5]]));
         if object.len() < HEADER_BYTES || !(HEADER_BYTES..=object.len()).contains(&header_bytes) {
-            return Some(Err("its header is cut short"));
+            return Some(Err(FrameError::HeaderCutShort));
         }
         let ticks = u64::from_le_bytes(std::array::from_fn(|index| object[24 + index]));
         let tick_ns = if number(object, 16) == 1 { 10_000 } else { 1 };
@@ -257,9 +258,8 @@ fn unpack(object: &[u8], objects: &mut Vec<u8>) -> bool {
 }
 
 /// Channel and frame of what follows an object's header.
-fn frame_of(content: &[u8], kind: u32) -> Result<(u32, Frame), &'static str> {
-    const CUT: &str = "it is cut short";
-    let short = |bytes: usize| content.get(..bytes).map(|_| ()).ok_or(CUT);
+fn frame_of(content: &[u8], kind: u32) -> Result<(u32, Frame), FrameError> {
+    let short = |bytes: usize| content.get(..bytes).map(|_| ()).ok_or(FrameError::CutShort);
     short(8)?;
     let channel = match kind {
         CAN_FD_MESSAGE_64 | CAN_FD_ERROR_64 => u32::from(content[0]),
@@ -268,29 +268,29 @@ fn frame_of(content: &[u8], kind: u32) -> Result<(u32, Frame), &'static str> {
     let (identifier, content_kind, data) = match kind {
         CAN_MESSAGE | CAN_MESSAGE_2 => {
             let length = usize::from(content[3]).min(8);
-            let data = content.get(8..8 + length).ok_or(CUT)?;
+            let data = content.get(8..8 + length).ok_or(FrameError::CutShort)?;
             (number(content, 4), remote(content[2]), data)
         }
         CAN_FD_MESSAGE => {
             short(20)?;
-            let data = content.get(20..20 + usize::from(content[14])).ok_or(CUT)?;
+            let data = content.get(20..20 + usize::from(content[14])).ok_or(FrameError::CutShort)?;
             (number(content, 4), remote(content[2]), data)
         }
         CAN_FD_MESSAGE_64 => {
             short(40)?;
             let flags = number(content, 12);
-            let data = content.get(40..40 + usize::from(content[2])).ok_or(CUT)?;
+            let data = content.get(40..40 + usize::from(content[2])).ok_or(FrameError::CutShort)?;
             let kind = if flags & 0x10 != 0 { Content::Remote } else { Content::Data };
             (number(content, 4), kind, data)
         }
         _ => (0, Content::Error, &[][..]),
     };
     if data.len() > MOST_BYTES {
-        return Err("its length is none of a frame");
+        return Err(FrameError::Length);
     }
     let bits = identifier & 0x1fff_ffff;
     let identifier = match identifier & EXTENDED {
-        0 if bits > 0x7ff => return Err("its identifier is none of CAN"),
+        0 if bits > 0x7ff => return Err(FrameError::IdentifierNotOfCan),
         0 => Identifier::Standard(bits as u16),
         _ => Identifier::Extended(bits),
     };

@@ -1,5 +1,6 @@
 //! The text log of BUSMASTER: `22:20:14:992 Rx 0 0000021A s 8 FE 36 12 FE 69 05 07 AD`.
 
+use super::frame_error::FrameError;
 use super::logged::{Interface, LoggedFrame};
 use super::words::{bytes_of_code, number_u32, push_words, words};
 use super::{Content, Frame, Identifier};
@@ -37,7 +38,7 @@ impl Busmaster {
     }
 
     /// A line's frame; `None` for the header.
-    pub(super) fn take(&mut self, line: &[u8]) -> Option<Result<LoggedFrame, &'static str>> {
+    pub(super) fn take(&mut self, line: &[u8]) -> Option<Result<LoggedFrame, FrameError>> {
         let line = line.trim_ascii();
         if let Some(header) = line.strip_prefix(b"***") {
             self.header(header.strip_suffix(b"***").unwrap_or(header));
@@ -64,13 +65,13 @@ impl Busmaster {
         }
     }
 
-    fn frame(&mut self, line: &[u8]) -> Result<LoggedFrame, &'static str> {
+    fn frame(&mut self, line: &[u8]) -> Result<LoggedFrame, FrameError> {
         let mut words = words(line);
-        let mut next = || words.next().ok_or("it is cut short");
+        let mut next = || words.next().ok_or(FrameError::CutShort);
         let stamp = std::str::from_utf8(next()?).ok().and_then(civil::clock);
-        let (hour, minute, second, nanosecond) = stamp.ok_or("its time is not h:m:s:ms")?;
+        let (hour, minute, second, nanosecond) = stamp.ok_or(FrameError::TimeNotOfClock)?;
         let direction = next()?;
-        let interface = Interface::new(next()?).ok_or("its channel is not a number")?;
+        let interface = Interface::new(next()?).ok_or(FrameError::ChannelNotNumber)?;
         let id = next()?;
         let kind = next()?;
         let time_ns = self.time_ns(((hour * 60 + minute) * 60 + second) * 1_000_000_000 + nanosecond);
@@ -79,14 +80,13 @@ impl Busmaster {
             return Ok(LoggedFrame { time_ns, interface, frame });
         }
         let id = id.strip_prefix(b"0x").unwrap_or(id);
-        let bits = number_u32(id, self.base).ok_or("its identifier is not a number")?;
+        let bits = number_u32(id, self.base).ok_or(FrameError::IdentifierNotNumber)?;
         let identifier = match (kind.first(), bits) {
             (Some(b's'), 0..=0x7ff) => Identifier::Standard(bits as u16),
             (Some(b'x'), 0..=0x1fff_ffff) => Identifier::Extended(bits),
-            _ => return Err("its identifier is none of CAN"),
+            _ => return Err(FrameError::IdentifierNotOfCan),
         };
-        let length =
-            number_u32(next()?, 10).and_then(bytes_of_code).ok_or("its length is none of a frame")?;
+        let length = number_u32(next()?, 10).and_then(bytes_of_code).ok_or(FrameError::Length)?;
         let mut frame = Frame::new(identifier, Content::Data);
         if kind.contains(&b'r') {
             frame.content = Content::Remote;

@@ -1,5 +1,6 @@
 //! The log format of can-utils' `candump -l` and `-L`: `(1436509052.249713) can0 044#2A366C2BBA`.
 
+use super::frame_error::FrameError;
 use super::words::{fixed_point, words};
 use super::{Content, Frame, Identifier};
 
@@ -21,30 +22,30 @@ impl<'a> Line<'a> {
     /// Reads a line.
     ///
     /// # Errors
-    /// What is wrong with it.
-    pub fn parse(line: &'a [u8]) -> Result<Self, &'static str> {
+    /// [`FrameError`] says what is wrong with it.
+    pub fn parse(line: &'a [u8]) -> Result<Self, FrameError> {
         let mut words = words(line);
-        let stamp = words.next().ok_or("it is empty")?;
+        let stamp = words.next().ok_or(FrameError::Empty)?;
         let stamp = stamp
             .strip_prefix(b"(")
             .and_then(|stamp| stamp.strip_suffix(b")"))
-            .ok_or("it does not begin with a time in parentheses")?;
-        let time_ns = fixed_point(stamp, 9).ok_or("its time is not a number of seconds")?;
-        let interface = words.next().ok_or("it names no interface")?;
-        let frame = frame(words.next().ok_or("it has no frame")?)?;
+            .ok_or(FrameError::TimeNotInParentheses)?;
+        let time_ns = fixed_point(stamp, 9).ok_or(FrameError::TimeNotSeconds)?;
+        let interface = words.next().ok_or(FrameError::InterfaceMissing)?;
+        let frame = frame(words.next().ok_or(FrameError::FrameMissing)?)?;
         Ok(Line { time_ns, interface, frame })
     }
 }
 
-fn frame(text: &[u8]) -> Result<Frame, &'static str> {
+fn frame(text: &[u8]) -> Result<Frame, FrameError> {
     let mut parts = text.splitn(2, |byte| *byte == b'#');
     let id = parts.next().unwrap_or_default();
-    let data = parts.next().ok_or("its frame has no `#`")?;
-    let bits = hexadecimal(id).ok_or("its identifier is not hexadecimal")?;
+    let data = parts.next().ok_or(FrameError::SeparatorMissing)?;
+    let bits = hexadecimal(id).ok_or(FrameError::IdentifierNotHexadecimal)?;
     let (identifier, error) = match id.len() {
         3 if bits <= 0x7ff => (Identifier::Standard(bits as u16), false),
         8 => (Identifier::Extended(bits & 0x1fff_ffff), bits & ERROR_FLAG != 0),
-        _ => return Err("its identifier has neither 3 nor 8 digits"),
+        _ => return Err(FrameError::IdentifierDigits),
     };
     if error {
         return Ok(Frame::new(identifier, Content::Error));
@@ -54,16 +55,16 @@ fn frame(text: &[u8]) -> Result<Frame, &'static str> {
     }
     // FD frames have a second `#` and a digit of flags; classic ones may end in `_` and their length code.
     let (data, most) = match data.strip_prefix(b"#") {
-        Some(fd) => (fd.get(1..).ok_or("its FD frame has no flags")?, 64),
+        Some(fd) => (fd.get(1..).ok_or(FrameError::FlagsMissing)?, 64),
         None => (data, 8),
     };
     let data = data.split(|byte| *byte == b'_').next().unwrap_or_default();
     if data.len() % 2 != 0 || data.len() / 2 > most {
-        return Err("its data is cut short or too long");
+        return Err(FrameError::DataCutShortOrTooLong);
     }
     let mut frame = Frame::new(identifier, Content::Data);
     for pair in data.chunks_exact(2) {
-        let byte = hexadecimal(pair).ok_or("its data is not hexadecimal")?;
+        let byte = hexadecimal(pair).ok_or(FrameError::DataNotHexadecimal)?;
         frame.push(byte as u8);
     }
     Ok(frame)
@@ -88,7 +89,7 @@ pub fn looks_like_candump(head: &[u8]) -> bool {
 mod tests {
     use super::*;
 
-    fn parse(line: &str) -> Result<Line<'_>, &'static str> {
+    fn parse(line: &str) -> Result<Line<'_>, FrameError> {
         Line::parse(line.as_bytes())
     }
 
@@ -115,23 +116,24 @@ mod tests {
 
     #[test]
     fn damaged_lines_are_refused() {
-        for line in [
-            "",
-            "1.0 can0 123#00",
-            "(x) can0 123#00",
-            "(1.0)",
-            "(1.0) can0",
-            "(1.0) can0 123",
-            "(1.0) can0 12#00",
-            "(1.0) can0 FFF#00",
-            "(1.0) can0 123#0",
-            "(1.0) can0 123#0G",
-            "(1.0) can0 123#001122334455667788",
-            "(1.0) can0 123##",
-            "(99999999999999999999.0) can0 123#00",
-            "(9999999999.9) can0 123#00",
+        for (line, error) in [
+            ("", FrameError::Empty),
+            ("1.0 can0 123#00", FrameError::TimeNotInParentheses),
+            ("(x) can0 123#00", FrameError::TimeNotSeconds),
+            ("(1.0)", FrameError::InterfaceMissing),
+            ("(1.0) can0", FrameError::FrameMissing),
+            ("(1.0) can0 123", FrameError::SeparatorMissing),
+            ("(1.0) can0 12G#00", FrameError::IdentifierNotHexadecimal),
+            ("(1.0) can0 12#00", FrameError::IdentifierDigits),
+            ("(1.0) can0 FFF#00", FrameError::IdentifierDigits),
+            ("(1.0) can0 123#0", FrameError::DataCutShortOrTooLong),
+            ("(1.0) can0 123#0G", FrameError::DataNotHexadecimal),
+            ("(1.0) can0 123#001122334455667788", FrameError::DataCutShortOrTooLong),
+            ("(1.0) can0 123##", FrameError::FlagsMissing),
+            ("(99999999999999999999.0) can0 123#00", FrameError::TimeNotSeconds),
+            ("(9999999999.9) can0 123#00", FrameError::TimeNotSeconds),
         ] {
-            assert!(parse(line).is_err(), "{line}");
+            assert_eq!(parse(line), Err(error), "{line}");
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Frames as Linux lays them out: `struct can_frame` (16 bytes) and `struct canfd_frame` (72 bytes), linux/can.h.
 
+use super::frame_error::FrameError;
 use super::j1939::FrameChoice;
 use super::{Content, Frame, Identifier, MOST_BYTES};
 
@@ -24,20 +25,21 @@ const FD_LENGTHS: [usize; 7] = [12, 16, 20, 24, 32, 48, 64];
 /// Reads a frame.
 ///
 /// # Errors
-/// What is wrong with it: neither size, or a length code that no frame has.
-pub fn parse(bytes: &[u8]) -> Result<Frame, &'static str> {
+/// [`FrameError::Size`] where it has neither size, [`FrameError::LengthCode`] where its length code is one that no frame has.
+pub fn parse(bytes: &[u8]) -> Result<Frame, FrameError> {
     let most = match bytes.len() {
         CLASSIC_BYTES => CLASSIC_DATA,
         FD_BYTES => MOST_BYTES,
-        _ => return Err("has neither 16 nor 72 bytes"),
+        _ => return Err(FrameError::Size),
     };
     let (Some(word), Some(length)) = (bytes.first_chunk::<4>(), bytes.get(4)) else {
-        return Err("has no identifier");
+        // Both sizes have them.
+        return Err(FrameError::Size);
     };
     let word = u32::from_ne_bytes(*word);
     let length = usize::from(*length);
     if length > most || (length > CLASSIC_DATA && !FD_LENGTHS.contains(&length)) {
-        return Err("has a wrong length code");
+        return Err(FrameError::LengthCode);
     }
     let identifier = if word & EXTENDED_FLAG != 0 {
         Identifier::Extended(word & EXTENDED_MASK)
@@ -115,11 +117,11 @@ mod tests {
 
     #[test]
     fn sizes_and_lengths_that_no_frame_has_are_refused() {
-        assert!(parse(&[0; 15]).is_err());
-        assert!(parse(&[]).is_err());
+        assert_eq!(parse(&[0; 15]), Err(FrameError::Size));
+        assert_eq!(parse(&[]), Err(FrameError::Size));
         let mut classic = [0; CLASSIC_BYTES];
         classic[4] = 9;
-        assert!(parse(&classic).is_err());
+        assert_eq!(parse(&classic), Err(FrameError::LengthCode));
         let mut fd = [0; FD_BYTES];
         for (length, good) in [(8, true), (12, true), (13, false), (64, true), (65, false), (255, false)] {
             fd[4] = length;

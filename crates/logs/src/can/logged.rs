@@ -3,6 +3,7 @@
 use std::io;
 
 use super::Frame;
+pub use super::frame_error::FrameError;
 
 /// A frame of a log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,7 +55,7 @@ impl Interface {
 }
 
 /// The next frame of a log, or why there is none at a place where one should be.
-pub type NextFrame = io::Result<Option<Result<LoggedFrame, &'static str>>>;
+pub type NextFrame = io::Result<Option<Result<LoggedFrame, FrameError>>>;
 
 /// Frames in the order of a log.
 pub trait FrameLog {

@@ -8,6 +8,7 @@ pub mod candump;
 pub mod dbc;
 mod dbc_error;
 pub mod decode;
+mod frame_error;
 pub mod j1939;
 pub mod linux;
 pub mod logged;

@@ -1,5 +1,6 @@
 //! The text log of SavvyCAN (GVRET): `Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,…` with microseconds.
 
+use super::frame_error::FrameError;
 use super::logged::{Interface, LoggedFrame};
 use super::words::{number, number_u32, push_words};
 use super::{Content, Frame, Identifier, MOST_BYTES};
@@ -16,7 +17,7 @@ pub(super) struct SavvyCan {
 
 impl SavvyCan {
     /// A line's frame; `None` for the header.
-    pub(super) fn take(&mut self, line: &[u8]) -> Option<Result<LoggedFrame, &'static str>> {
+    pub(super) fn take(&mut self, line: &[u8]) -> Option<Result<LoggedFrame, FrameError>> {
         let line = line.strip_prefix(b"\xef\xbb\xbf").unwrap_or(line).trim_ascii();
         if line.is_empty() {
             return None;
@@ -28,26 +29,26 @@ impl SavvyCan {
         Some(self.frame(line))
     }
 
-    fn frame(&self, line: &[u8]) -> Result<LoggedFrame, &'static str> {
+    fn frame(&self, line: &[u8]) -> Result<LoggedFrame, FrameError> {
         let mut fields = line.split(|byte| *byte == b',').map(<[u8]>::trim_ascii);
-        let mut next = || fields.next().ok_or("it is cut short");
-        let time_us = number(next()?, 10).ok_or("its time is not a number of µs")?;
-        let id = number_u32(next()?, 16).ok_or("its identifier is not hexadecimal")?;
+        let mut next = || fields.next().ok_or(FrameError::CutShort);
+        let time_us = number(next()?, 10).ok_or(FrameError::TimeNotMicroseconds)?;
+        let id = number_u32(next()?, 16).ok_or(FrameError::IdentifierNotHexadecimal)?;
         let extended = next()?.eq_ignore_ascii_case(b"true");
         if self.has_direction {
             next()?;
         }
-        let interface = Interface::new(next()?).ok_or("its bus is not a number")?;
+        let interface = Interface::new(next()?).ok_or(FrameError::BusNotNumber)?;
         let length = number(next()?, 10).and_then(|length| usize::try_from(length).ok());
-        let length = length.filter(|length| *length <= MOST_BYTES).ok_or("its length is none of a frame")?;
+        let length = length.filter(|length| *length <= MOST_BYTES).ok_or(FrameError::Length)?;
         let identifier = match (extended, id) {
             (false, 0..=0x7ff) => Identifier::Standard(id as u16),
             (true, 0..=0x1fff_ffff) => Identifier::Extended(id),
-            _ => return Err("its identifier is none of CAN"),
+            _ => return Err(FrameError::IdentifierNotOfCan),
         };
         let mut frame = Frame::new(identifier, Content::Data);
         push_words(&mut frame, &mut fields, length, 16)?;
-        let time_ns = time_us.checked_mul(1000).ok_or("its time is not a number of µs")?;
+        let time_ns = time_us.checked_mul(1000).ok_or(FrameError::TimeNotMicroseconds)?;
         Ok(LoggedFrame { time_ns, interface, frame })
     }
 }

@@ -5,6 +5,7 @@ use std::io::Read;
 use super::asc::Asc;
 use super::busmaster::Busmaster;
 use super::candump;
+use super::frame_error::FrameError;
 use super::logged::{FrameLog, Interface, LoggedFrame, NextFrame};
 use super::savvycan::SavvyCan;
 use super::trc::Trc;
@@ -73,7 +74,7 @@ impl<R: Read> TextLog<R> {
 
 impl Format {
     /// A line's frame; `None` where none is to be expected.
-    fn take(&mut self, line: &[u8]) -> Option<Result<LoggedFrame, &'static str>> {
+    fn take(&mut self, line: &[u8]) -> Option<Result<LoggedFrame, FrameError>> {
         match self {
             Format::Candump => {
                 let line = line.trim_ascii();
@@ -89,8 +90,8 @@ impl Format {
     }
 }
 
-fn logged(line: &candump::Line<'_>) -> Result<LoggedFrame, &'static str> {
-    let interface = Interface::new(line.interface).ok_or("its interface's name is too long")?;
+fn logged(line: &candump::Line<'_>) -> Result<LoggedFrame, FrameError> {
+    let interface = Interface::new(line.interface).ok_or(FrameError::InterfaceTooLong)?;
     Ok(LoggedFrame { time_ns: line.time_ns, interface, frame: line.frame })
 }
 
@@ -99,7 +100,7 @@ impl<R: Read> FrameLog for TextLog<R> {
         loop {
             return Ok(Some(match self.lines.next()? {
                 None => return Ok(None),
-                Some(Line::TooLong) => Err("it is longer than a frame can be"),
+                Some(Line::TooLong) => Err(FrameError::TooLong),
                 Some(Line::Whole(line)) => match self.format.take(line) {
                     None => continue,
                     Some(found) => found,

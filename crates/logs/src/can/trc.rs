@@ -1,5 +1,6 @@
 //! The text log of PEAK's tools (`.trc`), versions 1.0 to 1.3 and 2.x. Each version has its columns; those of 2.x stand in its header.
 
+use super::frame_error::FrameError;
 use super::logged::{Interface, LoggedFrame};
 use super::words::{bytes_of_code, fixed_point, number, number_u32, push_words, words};
 use super::{Content, Frame, Identifier, MOST_BYTES};
@@ -42,7 +43,7 @@ impl Trc {
     }
 
     /// A line's frame; `None` for the header and for lines that tell of the bus.
-    pub(super) fn take(&mut self, line: &[u8]) -> Option<Result<LoggedFrame, &'static str>> {
+    pub(super) fn take(&mut self, line: &[u8]) -> Option<Result<LoggedFrame, FrameError>> {
         let line = line.trim_ascii();
         match line.strip_prefix(b";") {
             Some(header) => {
@@ -92,16 +93,16 @@ impl Trc {
         }
     }
 
-    fn frame(&self, line: &[u8]) -> Result<Option<LoggedFrame>, &'static str> {
+    fn frame(&self, line: &[u8]) -> Result<Option<LoggedFrame>, FrameError> {
         let mut words = words(line);
         let (mut time_ns, mut id, mut length) = (None, None, None);
         let (mut interface, mut content) = (Interface::numbered(1), Content::Data);
         for column in &self.columns {
-            let word = words.next().ok_or("it is cut short")?;
+            let word = words.next().ok_or(FrameError::CutShort)?;
             match column {
                 Offset => time_ns = fixed_point(word, 6),
                 Id => id = Some(word),
-                Bus => interface = Interface::new(word).ok_or("its bus is not a number")?,
+                Bus => interface = Interface::new(word).ok_or(FrameError::BusNotNumber)?,
                 Code => length = number_u32(word, 10).and_then(bytes_of_code),
                 Bytes => length = number(word, 10).and_then(|bytes| usize::try_from(bytes).ok()),
                 // Warnings, errors and events of the bus stand where the direction of a frame does.
@@ -115,19 +116,19 @@ impl Trc {
                 Direction | Other => {}
             }
         }
-        let time_ns = time_ns.ok_or("its time is not a number of ms")?;
-        let id = id.ok_or("it has no identifier")?;
+        let time_ns = time_ns.ok_or(FrameError::TimeNotMilliseconds)?;
+        let id = id.ok_or(FrameError::IdentifierColumnMissing)?;
         // A line of the bus's state in version 1.0.
         if id.eq_ignore_ascii_case(b"FFFFFFFF") {
             return Ok(None);
         }
-        let bits = number_u32(id, 16).ok_or("its identifier is not hexadecimal")?;
+        let bits = number_u32(id, 16).ok_or(FrameError::IdentifierNotHexadecimal)?;
         let identifier = match (id.len() > 4, bits) {
             (false, 0..=0x7ff) => Identifier::Standard(bits as u16),
             (true, 0..=0x1fff_ffff) => Identifier::Extended(bits),
-            _ => return Err("its identifier is none of CAN"),
+            _ => return Err(FrameError::IdentifierNotOfCan),
         };
-        let length = length.filter(|length| *length <= MOST_BYTES).ok_or("its length is none of a frame")?;
+        let length = length.filter(|length| *length <= MOST_BYTES).ok_or(FrameError::Length)?;
         let mut frame = Frame::new(identifier, content);
         if content == Content::Data {
             let mut data = words.peekable();
@@ -145,14 +146,15 @@ impl Trc {
 mod tests {
     use super::*;
 
-    type Found = Result<(i64, u8, Identifier, Content, Vec<u8>), &'static str>;
+    /// A frame, or the message of its error.
+    type Found = Result<(i64, u8, Identifier, Content, Vec<u8>), String>;
 
     fn frames(text: &str) -> Vec<Found> {
         let mut trc = Trc::new();
         let lines = text.lines().filter_map(|line| trc.take(line.as_bytes()));
         lines
             .map(|line| {
-                line.map(|LoggedFrame { time_ns, interface, frame }| {
+                line.map_err(|error| error.to_string()).map(|LoggedFrame { time_ns, interface, frame }| {
                     (time_ns, interface.name()[0], frame.identifier, frame.content, frame.data().to_vec())
                 })
             })
@@ -195,9 +197,9 @@ mod tests {
             [
                 Ok((ns(1_500_000), b'1', Identifier::Extended(0x18ef_c034), Content::Remote, vec![])),
                 Ok((ns(2_000_000), b'1', Identifier::Standard(0x100), Content::Data, (1..=12).collect())),
-                Err("its time is not a number of ms"),
-                Err("its data is cut short"),
-                Err("it is cut short"),
+                Err("its time is not a number of ms".into()),
+                Err("its data is cut short".into()),
+                Err("it is cut short".into()),
             ]
         );
     }

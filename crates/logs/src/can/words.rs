@@ -1,5 +1,6 @@
 //! Words of a line, and numbers as CAN logs write them.
 
+use super::frame_error::FrameError;
 use super::{Frame, MOST_BYTES};
 
 /// The words of a line.
@@ -46,11 +47,11 @@ pub(super) fn push_words<'w>(
     words: &mut impl Iterator<Item = &'w [u8]>,
     count: usize,
     base: u32,
-) -> Result<(), &'static str> {
+) -> Result<(), FrameError> {
     for _ in 0..count {
-        let word = words.next().ok_or("its data is cut short")?;
+        let word = words.next().ok_or(FrameError::DataCutShort)?;
         let byte = number(word, base).and_then(|byte| u8::try_from(byte).ok());
-        frame.push(byte.ok_or("its data is not bytes")?);
+        frame.push(byte.ok_or(FrameError::DataNotBytes)?);
     }
     Ok(())
 }

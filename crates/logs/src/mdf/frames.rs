@@ -4,7 +4,7 @@ use std::io;
 
 use super::records::{Elsewhere, ElsewherePlace, Layout, Records};
 use super::{ChannelGroup, Kind, MdfFile};
-use crate::can::logged::{FrameLog, Interface, LoggedFrame, NextFrame};
+use crate::can::logged::{FrameError, FrameLog, Interface, LoggedFrame, NextFrame};
 use crate::can::words::bytes_of_code;
 use crate::can::{Content, Frame, Identifier, MOST_BYTES};
 
@@ -26,7 +26,7 @@ struct FrameGroup {
     layouts: Vec<Option<FrameLayout>>,
     numbers: Vec<u64>,
     /// The frame that comes next.
-    ahead: Option<Result<LoggedFrame, &'static str>>,
+    ahead: Option<Result<LoggedFrame, FrameError>>,
     ended: bool,
 }
 
@@ -120,7 +120,7 @@ impl FrameGroup {
             let Some(layout) = &mut self.layouts[place] else { continue };
             let record = &self.records.record;
             let Some(time_ns) = group.time_ns(record, number, file.start_ns) else {
-                self.ahead = Some(Err("its time is missing"));
+                self.ahead = Some(Err(FrameError::TimeMissing));
                 continue;
             };
             let frame = layout.frame(group, record, &mut file.blocks)?;
@@ -141,15 +141,15 @@ impl FrameLayout {
         group: &ChannelGroup,
         record: &[u8],
         blocks: &mut super::Blocks<'_>,
-    ) -> io::Result<Result<(Interface, Frame), &'static str>> {
+    ) -> io::Result<Result<(Interface, Frame), FrameError>> {
         let whole = |place: Option<usize>| place.and_then(|place| group.channels[place].whole(record));
-        let Some(id) = whole(Some(self.id)) else { return Ok(Err("its identifier is missing")) };
+        let Some(id) = whole(Some(self.id)) else { return Ok(Err(FrameError::IdentifierMissing)) };
         let bits = (id & 0x1fff_ffff) as u32;
         let extended = whole(self.extended).map_or(id > 0x7ff, |extended| extended != 0);
         let identifier = match (extended, bits) {
             (false, 0..=0x7ff) => Identifier::Standard(bits as u16),
             (true, _) => Identifier::Extended(bits),
-            _ => return Ok(Err("its identifier is none of CAN")),
+            _ => return Ok(Err(FrameError::IdentifierNotOfCan)),
         };
         let interface = whole(self.bus).map_or(Interface::numbered(0), |bus| Interface::numbered(bus as u32));
         let mut frame = Frame::new(identifier, self.content);
@@ -161,17 +161,17 @@ impl FrameLayout {
         let data = match (&mut self.elsewhere, self.data) {
             (Some(elsewhere), Some(data)) => {
                 let Some(place) = group.channels[data].whole(record) else {
-                    return Ok(Err("it is cut short"));
+                    return Ok(Err(FrameError::CutShort));
                 };
                 elsewhere.at(blocks, place)?
             }
             (None, Some(data)) => group.channels[data].bytes(record),
             _ => None,
         };
-        let Some(data) = data else { return Ok(Err("its data is missing")) };
+        let Some(data) = data else { return Ok(Err(FrameError::DataMissing)) };
         let length = length.unwrap_or(data.len());
         if length > data.len().min(MOST_BYTES) {
-            return Ok(Err("its length is none of a frame"));
+            return Ok(Err(FrameError::Length));
         }
         data[..length].iter().for_each(|byte| {
             frame.push(*byte);
