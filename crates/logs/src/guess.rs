@@ -1,6 +1,7 @@
 //! Guesses which field of a log is which signal, by name and range.
 
 use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
 
 use seepd_signals::Signal;
 use serde::Serialize;
@@ -20,13 +21,16 @@ pub struct Guess {
     /// Where it is in a CAN frame, where no DBC file names it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bits: Option<BitsMapping>,
+    /// What a person has to say of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub remark: Option<&'static str>,
     #[serde(skip)]
     score: i32,
 }
 
 impl Guess {
     pub(crate) fn of_bits(interface: String, bits: BitsMapping, scale: f64) -> Self {
-        Guess { topic: interface, field: String::new(), scale, bits: Some(bits), score: 0 }
+        Guess { topic: interface, field: String::new(), scale, bits: Some(bits), remark: None, score: 0 }
     }
 }
 
@@ -89,7 +93,10 @@ pub(crate) fn guess(topics: &mut [TopicSurvey]) -> BTreeMap<Signal, Guess> {
             let Some((signal, score, scale)) = guess_field(&topic.topic, field) else { continue };
             if mapping.get(&signal).is_none_or(|other| score > other.score) {
                 let topic = topic.mapping_topic.clone();
-                mapping.insert(signal, Guess { topic, field: field.path.clone(), scale, bits: None, score });
+                let is_unsure = signal == Signal::Command && VOLTS_OR_PER_CENT.contains(&field.size());
+                let remark = is_unsure.then_some(UNSURE_COMMAND);
+                let field = field.path.clone();
+                mapping.insert(signal, Guess { topic, field, scale, bits: None, remark, score });
             }
         }
     }
@@ -130,7 +137,7 @@ fn guess_field(topic: &str, field: &FieldSurvey) -> Option<(Signal, i32, f64)> {
             } else {
                 continue;
             };
-            let Some(scale) = scale_to_si(signal, field.least.abs().max(field.largest.abs())) else {
+            let Some(scale) = scale_to_si(signal, field.size()) else {
                 continue;
             };
             let score = strength - rank as i32;
@@ -142,10 +149,14 @@ fn guess_field(topic: &str, field: &FieldSurvey) -> Option<(Signal, i32, f64)> {
     best
 }
 
+/// Largest values of a command that may be volts out of ten, a few per cent, or none of these.
+const VOLTS_OR_PER_CENT: RangeInclusive<f64> = 1.1..=11.0;
+const UNSURE_COMMAND: &str = "Its values go beyond 1: say what a full command is. Volts of ±10 have scale = 0.1, per cent scale = 0.01.";
+
 /// The factor to SI that makes a range plausible: percent, millimetres, bar, kilonewtons are told by their size.
 fn scale_to_si(signal: Signal, largest: f64) -> Option<f64> {
     let candidates: &[(f64, f64, f64)] = match signal {
-        Signal::Command => &[(1e-3, 1.1, 1.0), (1.1, 110.0, 0.01)],
+        Signal::Command => &[(1e-3, 11.0, 1.0), (11.0, 110.0, 0.01)],
         Signal::Demand | Signal::Position => &[(1e-3, 10.0, 1.0), (10.0, 1e4, 1e-3)],
         Signal::PSupply | Signal::PInlet | Signal::PCap | Signal::PRod => &[(1e4, 1e8, 1.0), (0.5, 1e3, 1e5)],
         Signal::Load => &[(500.0, 1e9, 1.0), (0.1, 500.0, 1e3)],
@@ -176,6 +187,18 @@ mod tests {
         ] {
             assert_eq!(guessed(path, largest), Some(signal), "{path}");
         }
+    }
+
+    /// A few per cent and volts out of ten look alike: neither is taken for the other.
+    #[test]
+    fn a_command_beyond_one_asks_for_its_scale() {
+        let of = |largest: f64| {
+            let field = FieldSurvey { path: "cmd".into(), count: 9, least: -largest, largest, guess: None };
+            let mut topics = [TopicSurvey { fields: vec![field], ..TopicSurvey::default() }];
+            let found = guess(&mut topics).remove(&Signal::Command).unwrap();
+            (found.scale, found.remark.is_some())
+        };
+        assert_eq!([of(0.9), of(8.0), of(90.0)], [(1.0, false), (1.0, true), (0.01, false)]);
     }
 
     /// Names of a real rig's log (and some more) that have a signal's letters in another word.

@@ -114,6 +114,13 @@ pub struct FieldSurvey {
     pub guess: Option<&'static str>,
 }
 
+impl FieldSurvey {
+    /// The largest value without its sign.
+    pub(crate) fn size(&self) -> f64 {
+        self.least.abs().max(self.largest.abs())
+    }
+}
+
 /// Messages of a topic whose fields are looked into; the times of all are.
 const LOOKED_INTO: u64 = 20_000;
 /// Bytes of messages that are looked into in all.
@@ -511,6 +518,9 @@ impl LogSurvey {
                     text += &format!("bits = {}\n", bits.to_toml());
                 }
                 None => text += &format!("field = {}\n", toml_text(&guess.field)),
+            }
+            if let Some(remark) = guess.remark {
+                text += &format!("# {remark}\n");
             }
             if guess.scale != 1.0 {
                 text += &format!("scale = {}\n", toml::Value::from(guess.scale));
