@@ -1,4 +1,5 @@
-//! What has changed since the baseline, on whole logs: the cause is named, the leak is sized beside it, and nothing but a leak is called one.
+//! What has changed since the baseline, on whole logs: the cause is named, the leak is sized beside it, and nothing but a leak is called
+//! one.
 
 use std::path::PathBuf;
 use std::sync::LazyLock;
@@ -131,8 +132,8 @@ fn a_leak_beside_a_shifted_null_is_sized_within_its_interval() {
     }
 }
 
-/// Oil lost outside from the cap chamber moves the command much as a null shift towards − does, and a leak's law bends its response: which of the two is
-/// beside a leak shows in how well a law that training has simulated fits.
+/// Oil lost outside from the cap chamber moves the command much as a null shift towards − does, and a leak's law bends its response: which
+/// of the two is beside a leak shows in how well a law that training has simulated fits.
 #[test]
 fn what_is_beside_a_leak_is_told_from_what_looks_like_it() {
     let place = &*PLACE;
@@ -170,7 +171,8 @@ fn a_condition_is_told_once_as_it_is_found_with_what_to_do() {
     assert!((candidate["size"].as_f64().unwrap() - 0.01).abs() < 5e-4, "{candidate}");
 }
 
-/// More cycles show smaller leaks, as the root of their number and the baseline's together where all else is known; what is not known costs something.
+/// More cycles show smaller leaks, as the root of their number and the baseline's together where all else is known; what is not known costs
+/// something.
 #[test]
 fn the_smallest_leak_that_can_be_shown_falls_with_the_cycles() {
     let text = stdout(&seepd(["bound", "--noise", "0.003", "--baseline-cycles", "50", "--json"]));

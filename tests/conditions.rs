@@ -1,5 +1,5 @@
-//! Causes beside the seal over many cycles: when they began, whether they came at once or grow, when they will matter, and that nothing is found on a
-//! machine that weather and load alone change.
+//! Causes beside the seal over many cycles: when they began, whether they came at once or grow, when they will matter, and that nothing is
+//! found on a machine that weather and load alone change.
 //!
 //! A shift of the valve's null is the same in every sample, whatever the machine does: it is planted as an offset of the command.
 
@@ -65,7 +65,8 @@ fn machine(number: u64) -> (MachineSpec, f64) {
     (spec, noise.factor(0.05))
 }
 
-/// Machines side by side over a stretch each; each is followed from its baseline, or learns one. `offset` is added to the command of a cycle.
+/// Machines side by side over a stretch each; each is followed from its baseline, or learns one. `offset` is added to the command of a
+/// cycle.
 fn run(machines: &[(u64, Stretch, Option<Baseline>)], offset: impl Fn(f64) -> f64 + Sync) -> Vec<Heard> {
     let config = MonitorConfig::new("axis", Arc::clone(&MODEL));
     machines

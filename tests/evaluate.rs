@@ -206,7 +206,8 @@ fn a_baseline_that_was_learned_from_a_leak_is_told() {
     assert_eq!(told["learned_while_leaking"], 0);
 }
 
-/// One machine for each cause: the command works and judges; how good causes are is docs/ISOLATION_VALIDATION.md's, on machines of another simulator.
+/// One machine for each cause: the command works and judges; how good causes are is docs/ISOLATION_VALIDATION.md's, on machines of another
+/// simulator.
 #[test]
 fn causes_are_judged_on_simulated_machines_in_a_matrix_and_by_their_delays() {
     let folder = tempfile::tempdir().unwrap();

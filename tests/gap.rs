@@ -482,8 +482,8 @@ fn is_under_the_floor(found: &Value) -> bool {
     })
 }
 
-/// Each effect of the catalogue, planted alone where it acts, is the first of the answer or of its equivalents; one that leaves no signature is
-/// said not to be there.
+/// Each effect of the catalogue, planted alone where it acts, is the first of the answer or of its equivalents; one that leaves no
+/// signature is said not to be there.
 #[test]
 #[ignore = "a quarter of an hour: cargo test --release -p seepd --test program gap::each_effect -- --ignored --nocapture"]
 fn each_effect_alone_is_named_or_said_to_be_invisible() {

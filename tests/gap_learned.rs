@@ -1,5 +1,5 @@
-//! Causes without a name, made by another simulator: a law is learned in their place, where it acts and how, and the machine with it is a plant
-//! file that the other commands know.
+//! Causes without a name, made by another simulator: a law is learned in their place, where it acts and how, and the machine with it is a
+//! plant file that the other commands know.
 
 use std::fs;
 use std::path::{Path, PathBuf};

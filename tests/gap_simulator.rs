@@ -240,8 +240,8 @@ fn files_that_describe_no_simulator_are_refused_in_a_line() {
     assert_eq!(output.status.code(), Some(64), "{}", stderr(&output));
 }
 
-/// A cylinder whose speed follows the valve's opening by a lag, written apart as a machine with a log (its own PID loop and a dead band of its
-/// valve) and as a simulator of the plant alone, whose loop is closed by ours.
+/// A cylinder whose speed follows the valve's opening by a lag, written apart as a machine with a log (its own PID loop and a dead band of
+/// its valve) and as a simulator of the plant alone, whose loop is closed by ours.
 const STEPPED: &str = r#"
 import json, sys
 

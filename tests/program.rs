@@ -1,6 +1,7 @@
 //! The program's commands on whole logs, as a user runs them.
 //!
-//! One binary for all of them: each of its own would link the whole program once more, and two cores would wait for the slowest test of each.
+//! One binary for all of them: each of its own would link the whole program once more, and two cores would wait for the slowest test of
+//! each.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 mod adopt;

@@ -223,9 +223,9 @@ fn areas_are_right_within_three_percent() {
 }
 
 /// Sizes under dead bands, from below the article's range to half of its largest: all cycles but a few are estimated, sizes ascend with the
-/// leak's, errors stay within a few per cent, and intervals hold the truth. 90 % of all widths are meant; of 64 machines a width they held 96, 92 and
-/// 86 %. The cycles of one machine err alike, so that these are 16 independent ones a size, 80 a width, and a share of
-/// them is good to 8 % (2 σ).
+/// leak's, errors stay within a few per cent, and intervals hold the truth. 90 % of all widths are meant; of 64 machines a width they held
+/// 96, 92 and 86 %. The cycles of one machine err alike, so that these are 16 independent ones a size, 80 a width, and a share of them is
+/// good to 8 % (2 σ).
 #[test]
 fn sizes_are_right_whatever_dead_band_the_baseline_has() {
     let model = model();

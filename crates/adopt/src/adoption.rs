@@ -40,14 +40,14 @@ const POOR: f64 = 0.03;
 const LEAST_FRICTION: f64 = 0.01;
 /// A uniform distribution of this half width has the standard deviation of 1.
 const UNIFORM: f64 = 1.732_050_8;
-/// What is known of every cylinder and valve, standard deviations: friction of seals and guides, share of the piston's largest force (Jelali,
-/// Kroll, Hydraulic Servo-systems, 2003, chapter 4), and the null of a valve as adjusted, share of full command.
+/// What is known of every cylinder and valve, standard deviations: friction of seals and guides, share of the piston's largest force
+/// (Jelali, Kroll, Hydraulic Servo-systems, 2003, chapter 4), and the null of a valve as adjusted, share of full command.
 const USUAL_FRICTION: f64 = 0.02;
 const USUAL_NULL: f64 = 0.02;
 /// How well a load is known that was read off the strokes, standard deviation as a share.
 const READ_OFF: f64 = 0.1;
-/// The spool's lag: effect and parameter; its frequency where nothing else is known, the fastest that the effect has, Hz; and its damping with a
-/// standard deviation.
+/// The spool's lag: effect and parameter; its frequency where nothing else is known, the fastest that the effect has, Hz; and its damping
+/// with a standard deviation.
 const LAG: (&str, &str) = ("valve_lag", "natural_frequency_hz");
 const USUAL_LAG_HZ: f64 = 60.0;
 const USUAL_DAMPING: (f64, f64) = (0.7, 0.1);
@@ -486,8 +486,8 @@ fn command_gap_of(gaps: &BTreeMap<&'static str, f64>) -> f64 {
     gaps.get(Signal::Command.name()).copied().unwrap_or(f64::NAN)
 }
 
-/// How much wider than its own intervals a fit's are: where the simulation stays further from the log than the log from itself, they are too
-/// narrow.
+/// How much wider than its own intervals a fit's are: where the simulation stays further from the log than the log from itself, they are
+/// too narrow.
 fn widened(calibration: &Calibration<MachineSpec>) -> f64 {
     let misfit = |(signal, gap): (&&'static str, &f64)| {
         gap / calibration.floor.get(*signal).copied().unwrap_or(*gap).max(1e-9)
@@ -531,7 +531,8 @@ fn learned(
 }
 
 impl Adoption {
-    /// How far training is to vary each parameter by itself: what is not known of it, or the least where [`Adoption::together`] has the rest.
+    /// How far training is to vary each parameter by itself: what is not known of it, or the least where [`Adoption::together`] has the
+    /// rest.
     pub fn tolerances(&self) -> BTreeMap<String, f64> {
         let is_together = |key: &str| self.together.iter().any(|direction| direction.plant.contains_key(key));
         let tolerance = |key: &str, value: &PlantValue| {

@@ -28,8 +28,8 @@ const WORTH: f64 = 0.05;
 /// A rest of this share of the command's variance has nothing left to explain.
 const DONE: f64 = 1e-6;
 
-/// Regresses the command of a mean cycle on error, its integral, the speeds of position and demand, and the command's sign. `None` where the
-/// error explains nothing or a gain comes out with the wrong sign.
+/// Regresses the command of a mean cycle on error, its integral, the speeds of position and demand, and the command's sign. `None` where
+/// the error explains nothing or a gain comes out with the wrong sign.
 pub fn fit_gains(command: &[f64], demand: &[f64], position: &[f64], tick_s: f64) -> Option<FittedGains> {
     let ticks = command.len().min(demand.len()).min(position.len());
     let speed = |values: &[f64], tick: usize| slope(&values[..ticks], tick) / tick_s;

@@ -1,9 +1,9 @@
 //! The duty cycle as the machine is asked for it: the demand's course by stroke, and the load.
 //!
-//! Where the log has no demand, it is what the controller must have been asked for. With the position that is the control law solved for the
-//! error. With the command alone the demand is looked for under which the simulated machine, closed loop, gives the recorded command:
-//! iterative learning (Arimoto, Kawamura, Miyazaki, Journal of Robotic Systems 1 (1984)), each pass correcting the demand by the way that the
-//! rest of the command would make.
+//! Where the log has no demand, it is what the controller must have been asked for. With the position that is the control law solved for
+//! the error. With the command alone the demand is looked for under which the simulated machine, closed loop, gives the recorded command:
+//! iterative learning (Arimoto, Kawamura, Miyazaki, Journal of Robotic Systems 1 (1984)), each pass correcting the demand by the way that
+//! the rest of the command would make.
 
 use seepd_gap::SimulatedAxis;
 use seepd_sim::batch::follow;
@@ -290,8 +290,8 @@ fn course(demand: &[f64], (from, to): (usize, usize), (before, after): (f64, f64
         .collect()
 }
 
-/// The load's corners: the fewest between which it is linear within a share of its range (Douglas, Peucker, Cartographica 10 (1973)), beside
-/// the weight.
+/// The load's corners: the fewest between which it is linear within a share of its range (Douglas, Peucker, Cartographica 10 (1973)),
+/// beside the weight.
 pub fn load_corners(load_n: Option<&[f64]>, weight_n: f64, largest_n: f64, tick_s: f64) -> Vec<LoadCorner> {
     let constant =
         |force_n: f64| if force_n == 0.0 { Vec::new() } else { vec![LoadCorner { at_s: 0.0, force_n }] };

@@ -146,8 +146,8 @@ impl FoundCycle {
         self.strokes[..inner].iter().map(|stroke| stroke.hold_after.spread_s()).sum::<f64>() / self.period_s
     }
 
-    /// How much longer than planned the machine stands after a stroke, s; 0 where no event ends the hold, and after the last one, whose wait is
-    /// nobody's.
+    /// How much longer than planned the machine stands after a stroke, s; 0 where no event ends the hold, and after the last one, whose
+    /// wait is nobody's.
     pub fn wait_s(&self, stroke: usize) -> f64 {
         if self.varying_holds().contains(&stroke) { self.strokes[stroke].hold_after.spread_s() } else { 0.0 }
     }

@@ -35,8 +35,8 @@ const LEAST_STEPS: usize = 4;
 /// Volume between line and valve over that of the nominal press: its pressure settles within a millisecond all the same, and the simulation
 /// may take longer steps.
 const SOFT_INLET: f64 = 2.5;
-/// That volume grows until its pressure settles in this share of a tick, of which the command says nothing, but to no more than this share of
-/// the cylinder's: a slow machine is simulated in few steps then.
+/// That volume grows until its pressure settles in this share of a tick, of which the command says nothing, but to no more than this share
+/// of the cylinder's: a slow machine is simulated in few steps then.
 const SETTLED_SHARE: f64 = 0.18;
 const LARGEST_INLET: f64 = 0.3;
 
@@ -510,7 +510,8 @@ fn rated_land_pa(data: &MachineData) -> f64 {
     bar * BAR_PA / lands
 }
 
-/// Steady speed at full command without a load, m/s, the mean of both ways: the pressures of both chambers balance the flows through both lands.
+/// Steady speed at full command without a load, m/s, the mean of both ways: the pressures of both chambers balance the flows through both
+/// lands.
 pub(crate) fn speed_of(cap_m2: f64, annulus_m2: f64, supply_pa: f64, valve_m3_per_s_sqrt_pa: f64) -> f64 {
     let cubes = cap_m2.powi(3) + annulus_m2.powi(3);
     let way = |area: f64| (area * supply_pa / cubes).sqrt();

@@ -29,10 +29,11 @@ const LEAST_PERIOD: f64 = 0.01;
 const LOAD: f64 = 0.05;
 /// How far a valve's flow gain may be off at its null, share to either side: a healthy log does not show it, and data sheets allow more.
 const NULL_DEVIATION: f64 = 0.3;
-/// Cosine of a cause's response and a leak's from which on they are one class: the plant is not the machine, and responses are known less well.
+/// Cosine of a cause's response and a leak's from which on they are one class: the plant is not the machine, and responses are known less
+/// well.
 const ALIKE_FROM: f64 = 0.9;
-/// Least share of simulated cycles that must be recognised: of the machines that calibration leaves possible some do not follow their cycle, as
-/// this one does.
+/// Least share of simulated cycles that must be recognised: of the machines that calibration leaves possible some do not follow their
+/// cycle, as this one does.
 const LEAST_RECOGNISED: f64 = 0.8;
 /// Machines that are drawn to see how many steps they need.
 const TRIED_FOR_STEPS: usize = 200;

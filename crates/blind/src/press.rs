@@ -511,8 +511,8 @@ impl Laws {
         if other_law { coefficient * (pressure * REFERENCE_PA).sqrt() } else { coefficient * pressure }
     }
 
-    /// Friction force and the bristle's rate. Other law: bristles that bend (Canudas de Wit et al., IEEE Transactions on Automatic Control 40
-    /// (1995)), with static friction that falls with the speed instead of its square.
+    /// Friction force and the bristle's rate. Other law: bristles that bend (Canudas de Wit et al., IEEE Transactions on Automatic Control
+    /// 40 (1995)), with static friction that falls with the speed instead of its square.
     fn friction(&self, state: &State, pressure_force: f64, other_law: bool) -> (f64, f64) {
         let v = state[V];
         let fall = (v / self.stribeck_speed).abs();

@@ -150,8 +150,8 @@ fn tell(failure: &Failure) -> u8 {
 /// How this program is started, where it is a part of another.
 static STARTED_BY: OnceLock<Vec<String>> = OnceLock::new();
 
-/// Says with which words this program is started, where that is not the running program's own name: an interpreter and its module. The first
-/// to say so is believed.
+/// Says with which words this program is started, where that is not the running program's own name: an interpreter and its module. The
+/// first to say so is believed.
 pub fn is_started_by(words: Vec<String>) {
     let _ = STARTED_BY.set(words);
 }

@@ -290,8 +290,8 @@ impl Timeline<'_, '_> {
         (number(from_s), number(to_s))
     }
 
-    /// The sample numbers over which a cycle is described as a whole: all of it; where it may wait for events between its strokes, the phases
-    /// that every cycle has.
+    /// The sample numbers over which a cycle is described as a whole: all of it; where it may wait for events between its strokes, the
+    /// phases that every cycle has.
     fn each_part(&self, mut take: impl FnMut(i64, i64)) {
         if self.definition.anchors.is_row() {
             self.definition.phases.iter().for_each(|phase| {

@@ -143,8 +143,8 @@ impl Fmu {
     }
 }
 
-/// The folder among an FMU's binaries for a platform that is named as in FMI 3. FMI 2 names platforms by system and width; it has no name for
-/// 64-bit ARM, and tools that write such FMUs use FMI 3's.
+/// The folder among an FMU's binaries for a platform that is named as in FMI 3. FMI 2 names platforms by system and width; it has no name
+/// for 64-bit ARM, and tools that write such FMUs use FMI 3's.
 pub fn folder(version: Version, platform: &str) -> &str {
     match (version, platform) {
         (Version::Two, "x86_64-linux") => "linux64",

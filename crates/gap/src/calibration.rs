@@ -39,8 +39,8 @@ pub struct CalibrationSettings {
     pub wear: bool,
     /// Keys of effects that the machine is given.
     pub effects: Vec<String>,
-    /// What is known beforehand by key, of an effect's parameter by `effect.parameter`. What is not here is known as [`SimulatedAxis`] says; an
-    /// effect's not at all.
+    /// What is known beforehand by key, of an effect's parameter by `effect.parameter`. What is not here is known as [`SimulatedAxis`]
+    /// says; an effect's not at all.
     pub known: BTreeMap<String, Known>,
 }
 
@@ -53,8 +53,8 @@ pub struct Known {
     pub sigma: f64,
 }
 
-/// Fits a machine's parameters, within their bounds and priors, to a record, and what the settings ask for beside them. Effects that there are
-/// none of by a name are left out.
+/// Fits a machine's parameters, within their bounds and priors, to a record, and what the settings ask for beside them. Effects that there
+/// are none of by a name are left out.
 pub fn calibrate<A: SimulatedAxis>(
     record: &Record,
     spec: &A,

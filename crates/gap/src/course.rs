@@ -1,8 +1,8 @@
 //! Whether the machine changed within the log: a step or a drift over its cycles, told before anything is fitted.
 //!
-//! Cycles differ by load and noise in no order; what changes has one. The cycles' principal components are compared with a step at any cycle and
-//! with a ramp; how well either fits by chance follows from the same values in shuffled orders (Good, Permutation, Parametric and Bootstrap Tests of
-//! Hypotheses (2005)).
+//! Cycles differ by load and noise in no order; what changes has one. The cycles' principal components are compared with a step at any
+//! cycle and with a ramp; how well either fits by chance follows from the same values in shuffled orders (Good, Permutation, Parametric and
+//! Bootstrap Tests of Hypotheses (2005)).
 
 use nalgebra::{DMatrix, SymmetricEigen};
 use seepd_sim::noise::Noise;

@@ -64,8 +64,9 @@ const LIKELY_AT_ALL: f64 = 0.1;
 /// Signature, in expected errors, below which an effect cannot be seen.
 const VISIBLE: f64 = 2.0;
 
-/// Diagnoses a record against a machine, and gives the machine as diagnosed: calibrated, with the effects that were found. Where the machine
-/// changed within the record, it is diagnosed as it is in the end. `tell` is called with the number of finished steps, of [`STEPS`].
+/// Diagnoses a record against a machine, and gives the machine as diagnosed: calibrated, with the effects that were found. Where the
+/// machine changed within the record, it is diagnosed as it is in the end. `tell` is called with the number of finished steps, of
+/// [`STEPS`].
 ///
 /// The [crate's page](crate) has an example.
 pub fn diagnose<A: SimulatedAxis>(
@@ -209,8 +210,8 @@ pub fn nominal_gap<A: SimulatedAxis>(record: &Record, spec: &A) -> BTreeMap<&'st
 
 /// Cycles that are fitted to, and every third, which is held out.
 ///
-/// Of runs it is every third with the same command and the same signals; where none is repeated so often, the gaps are those of the runs that
-/// were fitted to.
+/// Of runs it is every third with the same command and the same signals; where none is repeated so often, the gaps are those of the runs
+/// that were fitted to.
 pub(crate) fn split(record: &Record) -> (Vec<usize>, Vec<usize>) {
     let all = 0..record.cycles.len();
     if !record.is_open_loop {
@@ -343,8 +344,8 @@ impl<A: SimulatedAxis> RankedExplanations<A> {
         self.machines().filter_map(instead).collect()
     }
 
-    /// Each set of effects once, with its most likely machine and the probability of all: searches that began at either of two effects may end
-    /// with the same two, which no test tells from themselves.
+    /// Each set of effects once, with its most likely machine and the probability of all: searches that began at either of two effects may
+    /// end with the same two, which no test tells from themselves.
     fn sets_of_effects(&self) -> Vec<(&Explanation<A>, f64)> {
         let mut sets: Vec<(&Explanation<A>, f64)> = Vec::new();
         for (explanation, probability) in &self.explanations {
@@ -654,8 +655,9 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         signals.zip(errors).filter_map(|(signal, error)| Some((signal.name(), (*error)?))).collect()
     }
 
-    /// Where balances fail on what was there, beside what the sensors of the machine as diagnosed are off by. The machine that is held against it
-    /// has its usual parameters calibrated and no more: constants and sensors that are free as well would move the rest from one balance to another.
+    /// Where balances fail on what was there, beside what the sensors of the machine as diagnosed are off by. The machine that is held
+    /// against it has its usual parameters calibrated and no more: constants and sensors that are free as well would move the rest from one
+    /// balance to another.
     fn places(&self, errors: &[Option<SensorError>], iterations: usize) -> Vec<Place> {
         let record = self.record.without(errors);
         let cycles: Vec<usize> = record.alike(&split(&record).0);

@@ -308,8 +308,8 @@ impl<'r> Problem<'r> {
         &residual.as_slice()[worst * BINS..][..BINS]
     }
 
-    /// How many times larger in squares than expected of a model the differences are, at least 1: intervals widen by as much (Birge, Physical
-    /// Review 40 (1932)).
+    /// How many times larger in squares than expected of a model the differences are, at least 1: intervals widen by as much (Birge,
+    /// Physical Review 40 (1932)).
     pub(crate) fn misfit(&self, residual: &DVector<f64>) -> f64 {
         let left = self.by_signal(residual);
         (left.iter().sum::<f64>() / left.len().max(1) as f64).max(1.0)
@@ -572,8 +572,8 @@ impl<A: SimulatedAxis> Fit<A> {
         None
     }
 
-    /// Value of each parameter with its 95 % interval, from the covariance of differences and priors, for errors that are in squares so many
-    /// times larger than expected.
+    /// Value of each parameter with its 95 % interval, from the covariance of differences and priors, for errors that are in squares so
+    /// many times larger than expected.
     pub(crate) fn estimates(&self, misfit: f64) -> Vec<(f64, [f64; 2])> {
         let covariance = normal_matrix(&self.free, &self.jacobian, 1.0 / misfit).try_inverse();
         let estimate = |(index, parameter): (usize, &Free)| {

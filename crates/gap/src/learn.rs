@@ -2,9 +2,10 @@
 //!
 //! The function is a curve over speed, position, pressure, command or time, in a local basis (hats), fitted in the closed loop beside the
 //! calibration: what other parameters explain as well is theirs. Curves are smooth beforehand: their second differences are normal, and how
-//! rough they may be is what makes the record most likely (MacKay, Neural Computation 4 (1992)). Places compete by the same score as effects,
-//! each curve with as many parameters as the record determines of it. Kennedy and O'Hagan (Journal of the Royal Statistical Society B 63
-//! (2001)) learn such a discrepancy at the output; here it acts inside of the plant, so that the machine with it can be simulated elsewhere.
+//! rough they may be is what makes the record most likely (MacKay, Neural Computation 4 (1992)). Places compete by the same score as
+//! effects, each curve with as many parameters as the record determines of it. Kennedy and O'Hagan (Journal of the Royal Statistical
+//! Society B 63 (2001)) learn such a discrepancy at the output; here it acts inside of the plant, so that the machine with it can be
+//! simulated elsewhere.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use rayon::prelude::*;

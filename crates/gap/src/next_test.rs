@@ -1,9 +1,9 @@
 //! What to try next: the short test, or the further sensor, that tells the remaining explanations apart best.
 //!
 //! Each explanation is a fitted machine. Its answer to a test is simulated, with all of its parameters free as far as the log has left them
-//! open, so that a difference that another calibration could make does not count. What a test is worth is the information that its answer is
-//! expected to give about which explanation is right, by the pairwise bound of Kolchinsky and Tracey (Entropy 19 (2017), α = 1/2). Tests stay
-//! within the places and speeds that the log shows, under the load with which its cycle begins.
+//! open, so that a difference that another calibration could make does not count. What a test is worth is the information that its answer
+//! is expected to give about which explanation is right, by the pairwise bound of Kolchinsky and Tracey (Entropy 19 (2017), α = 1/2). Tests
+//! stay within the places and speeds that the log shows, under the load with which its cycle begins.
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use seepd_signals::Signal;

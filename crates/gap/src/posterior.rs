@@ -1,7 +1,7 @@
 //! What a fit leaves open: how far its parameters may lie off, together.
 //!
-//! One force, one valve, one supply pressure may be wrong while their product is right. Taken one by one, their intervals say nothing of that;
-//! the covariance of all does (Bates, Watts, Nonlinear Regression Analysis, 1988, chapter 2).
+//! One force, one valve, one supply pressure may be wrong while their product is right. Taken one by one, their intervals say nothing of
+//! that; the covariance of all does (Bates, Watts, Nonlinear Regression Analysis, 1988, chapter 2).
 
 use nalgebra::{Cholesky, DMatrix};
 use seepd_sim::series::Direction;

@@ -293,9 +293,9 @@ fn furthest_from(position_m: &[f64], place_m: f64) -> usize {
     (1..position_m.len().max(2) - 1).max_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0)
 }
 
-/// The machine with some of the supply's volume moved to the valve's inlet, the smallest volume, which alone asks for short steps. What both
-/// hold together stays; what the inlet's pressure does within a tenth of a millisecond is not seen in bins (a test holds both to 1e-4 of each
-/// signal's range).
+/// The machine with some of the supply's volume moved to the valve's inlet, the smallest volume, which alone asks for short steps. What
+/// both hold together stays; what the inlet's pressure does within a tenth of a millisecond is not seen in bins (a test holds both to 1e-4
+/// of each signal's range).
 fn softer_at_the_inlet(machine: &MachineSpec) -> MachineSpec {
     let mut machine = machine.clone();
     let plant = &mut machine.plant;
@@ -308,8 +308,8 @@ fn softer_at_the_inlet(machine: &MachineSpec) -> MachineSpec {
 /// Largest share of the supply's volume that is moved: with less of it left its relief valve chatters.
 const LARGEST_MOVE: f64 = 0.2;
 
-/// Steps in a period that keep a machine stable: half of its file's where its eigenvalues allow it, all of them with effects that are stiff in
-/// themselves.
+/// Steps in a period that keep a machine stable: half of its file's where its eigenvalues allow it, all of them with effects that are stiff
+/// in themselves.
 fn least_steps(machine: &MachineSpec) -> usize {
     if machine.effects.keys().any(|key| STIFF.contains(&key.as_str())) {
         return machine.stable_steps();

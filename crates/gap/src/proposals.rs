@@ -13,8 +13,8 @@ const EVENTS: usize = 10;
 const SHORTEST: usize = 10;
 const LONGEST: usize = BINS / 3;
 
-/// Pitches of the strongest waves over the position that are left of the recorded position, metres: an error of the position's sensor keeps its
-/// pitch whatever the loop makes of its size.
+/// Pitches of the strongest waves over the position that are left of the recorded position, metres: an error of the position's sensor keeps
+/// its pitch whatever the loop makes of its size.
 pub(crate) fn pitches<A: SimulatedAxis>(
     problem: &Problem<'_>,
     fit: &Fit<A>,
@@ -33,8 +33,8 @@ pub(crate) fn pitches<A: SimulatedAxis>(
     peaks.into_iter().take(PITCHES).map(|wave| 1.0 / waves_per_m[wave]).collect()
 }
 
-/// Starts and durations, shares of the cycle, of the rectangles that explain most of the signal that is furthest off, each somewhere else than
-/// those before.
+/// Starts and durations, shares of the cycle, of the rectangles that explain most of the signal that is furthest off, each somewhere else
+/// than those before.
 pub(crate) fn events<A>(problem: &Problem<'_>, fit: &Fit<A>) -> Vec<(f64, f64)> {
     let differences = problem.furthest_off(&fit.residual);
     let mut sums = vec![0.0];

@@ -1,12 +1,12 @@
 //! How likely each explanation is: calibration alone, each effect, none of these.
 //!
-//! Three questions in turn. *Is there a gap that calibration leaves?* Scores decide between the calibrated machine and those with effects, and the
-//! calibrated gap itself, over what differs from cycle to cycle, says whether anything is left at all. *Does the catalogue explain it?* The
-//! share that the best machine leaves of what calibration leaves: the right cause leaves noise, or, under a somewhat different law, less than
-//! half; a cause that the catalogue lacks is imitated in parts. *Which effect is it?* Scores again.
+//! Three questions in turn. *Is there a gap that calibration leaves?* Scores decide between the calibrated machine and those with effects,
+//! and the calibrated gap itself, over what differs from cycle to cycle, says whether anything is left at all. *Does the catalogue explain
+//! it?* The share that the best machine leaves of what calibration leaves: the right cause leaves noise, or, under a somewhat different
+//! law, less than half; a cause that the catalogue lacks is imitated in parts. *Which effect is it?* Scores again.
 //!
-//! Scores are log-likelihoods of the differences' mean squares by signal, with heavy tails, since the right cause under a slightly different
-//! law leaves a small rest; each free parameter of an effect costs half the logarithm of the number of independent values
+//! Scores are log-likelihoods of the differences' mean squares by signal, with heavy tails, since the right cause under a slightly
+//! different law leaves a small rest; each free parameter of an effect costs half the logarithm of the number of independent values
 //! (Schwarz, Annals of Statistics 6 (1978)).
 
 use crate::fit::{Fit, INDEPENDENT, Problem, prior_cost};

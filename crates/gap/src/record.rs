@@ -39,8 +39,8 @@ impl Log {
         self.len() == 0
     }
 
-    /// The log with a value at every tick for signals that were recorded at a lower rate, and the largest usual distance of two values, in ticks.
-    /// Values further apart than twice the usual, or than `most` ticks, keep their gap.
+    /// The log with a value at every tick for signals that were recorded at a lower rate, and the largest usual distance of two values, in
+    /// ticks. Values further apart than twice the usual, or than `most` ticks, keep their gap.
     pub(crate) fn at_every_tick(&self, most: usize) -> (Self, usize) {
         let mut filled = self.clone();
         let mut slowest = 1;

@@ -1,7 +1,7 @@
 //! Runs of a machine without a controller: recorded commands with what they made the machine do, in one log or several.
 //!
-//! A run is cut where the piston stands, and each piece begins anew, at rest where the run was. Pieces with the same command are repetitions of
-//! each other, also where they come from different logs, and where one has a pressure that the other lacks.
+//! A run is cut where the piston stands, and each piece begins anew, at rest where the run was. Pieces with the same command are
+//! repetitions of each other, also where they come from different logs, and where one has a pressure that the other lacks.
 
 use std::ops::Range;
 

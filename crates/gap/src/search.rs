@@ -128,8 +128,8 @@ fn repolished<A: SimulatedAxis>(
     Fit::at(problem, &start, free).fitted(problem, 2 * settings.iterations).renewed(problem)
 }
 
-/// Fits the most promising effects: those that explain most beside the calibrated machine, and those that do beside the untouched one, since
-/// calibration may have bent other parameters to the gap. The best of all are fitted from both.
+/// Fits the most promising effects: those that explain most beside the calibrated machine, and those that do beside the untouched one,
+/// since calibration may have bent other parameters to the gap. The best of all are fitted from both.
 fn single_effects<A: SimulatedAxis>(
     problem: &Problem<'_>,
     untouched: &Fit<A>,

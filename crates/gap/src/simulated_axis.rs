@@ -82,8 +82,8 @@ pub trait SimulatedAxis: Clone + Send + Sync {
     fn tick_s(&self) -> f64;
     /// Stroke, m.
     fn stroke_m(&self) -> f64;
-    /// What the controller must have been asked for, m, tick by tick, to give those commands at those positions. It serves to find where the
-    /// cycles of a log without a demand begin; `None` where the controller's law is not known.
+    /// What the controller must have been asked for, m, tick by tick, to give those commands at those positions. It serves to find where
+    /// the cycles of a log without a demand begin; `None` where the controller's law is not known.
     fn asked_m(&self, command: &[f64], position_m: &[f64]) -> Option<Vec<f64>>;
     /// Simulates machines along a drive, closed loop, and bins what they show after the first `warm_up` ticks. A simulation that goes out
     /// of bounds shows NaN.
@@ -106,7 +106,8 @@ pub trait SimulatedAxis: Clone + Send + Sync {
     fn is_open_loop(&self) -> bool {
         false
     }
-    /// The axis with a run in the place of its duty cycle: its length, and position and load in bins. Axes with a controller stay as they are.
+    /// The axis with a run in the place of its duty cycle: its length, and position and load in bins. Axes with a controller stay as they
+    /// are.
     fn along(&self, _period_s: f64, _position_m: &[f64], _load_n: &[f64]) -> Self {
         self.clone()
     }

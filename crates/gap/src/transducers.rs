@@ -1,8 +1,8 @@
 //! Pressure transducers as they are bought: gain and zero of each are off by what its class allows, which is no gap of the plant.
 //!
-//! Both act on what is recorded along two known shapes, the recorded signal and a constant, so that they are integrated out instead of fitted:
-//! differences are weighed by the inverse of 1 + N Nᵀ, N the shapes times their standard deviations (Kennedy and O'Hagan, Journal of the Royal
-//! Statistical Society B 63 (2001), for a discrepancy of known form).
+//! Both act on what is recorded along two known shapes, the recorded signal and a constant, so that they are integrated out instead of
+//! fitted: differences are weighed by the inverse of 1 + N Nᵀ, N the shapes times their standard deviations (Kennedy and O'Hagan, Journal
+//! of the Royal Statistical Society B 63 (2001), for a discrepancy of known form).
 
 use seepd_signals::Signal;
 use seepd_sim::SensorError;
@@ -19,7 +19,8 @@ struct Class {
 /// Class 0.5 of 100 bar: what common transducers are good for over their life.
 const PRESSURE: Class = Class { gain: 5e-3, zero: 5e4 };
 
-/// The class of a signal's sensor. Position and command are in the loop: what is off there acts on the machine, and stands in the catalogue.
+/// The class of a signal's sensor. Position and command are in the loop: what is off there acts on the machine, and stands in the
+/// catalogue.
 fn class_of(signal: Signal) -> Option<Class> {
     matches!(signal, Signal::PSupply | Signal::PInlet | Signal::PCap | Signal::PRod).then_some(PRESSURE)
 }
@@ -81,8 +82,8 @@ impl Allowance {
     }
 }
 
-/// The most likely error of a signal's sensor, given what is recorded and what was there, with the standard deviation of what else is different in
-/// each value; none for a signal whose sensor has no class.
+/// The most likely error of a signal's sensor, given what is recorded and what was there, with the standard deviation of what else is
+/// different in each value; none for a signal whose sensor has no class.
 pub(crate) fn most_likely(
     signal: Signal,
     recorded: &[f64],

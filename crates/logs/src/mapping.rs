@@ -147,8 +147,8 @@ pub struct SignalMapping {
     /// Path of a field with the time in seconds, or of a stamp with seconds and nanoseconds; empty: the message's log
     /// time.
     pub time: String,
-    /// Unit of the field, such as `%`, `bar` or `mm`, which is made SI before `scale`; empty: where neither scale nor offset are given, what
-    /// the DBC file or the MDF log says, else SI. `1` takes a command as it is.
+    /// Unit of the field, such as `%`, `bar` or `mm`, which is made SI before `scale`; empty: where neither scale nor offset are given,
+    /// what the DBC file or the MDF log says, else SI. `1` takes a command as it is.
     pub unit: String,
     /// Turns the sign: where a positive command retracts, a positive force pulls.
     pub invert: bool,

@@ -170,8 +170,8 @@ fn names_before(before: &[Beginning], row: usize) -> Option<usize> {
     Some(above.unwrap_or(nearest))
 }
 
-/// Whether a line has units: each field is short, or in brackets. A number is none, but for the 1 of what has no unit; and the first field, which
-/// mostly is the time, has one.
+/// Whether a line has units: each field is short, or in brackets. A number is none, but for the 1 of what has no unit; and the first field,
+/// which mostly is the time, has one.
 fn are_units(fields: &[String]) -> bool {
     let is_number = |field: &String| number(field.as_bytes()).is_some();
     let is_unit = |field: &String| {

@@ -208,7 +208,8 @@ pub struct Calibration {
 
 /// How a leak is estimated relative to the healthy machine's own baseline: from the change of each phase's mean command.
 ///
-/// With the changes δ, the baseline's means less their own mean, standardised, as b, and where known the load's relative change as one more δ, the
+/// With the changes δ, the baseline's means less their own mean, standardised, as b, and where known the load's relative change as one more
+/// δ, the
 /// *leak residual* is the polynomial `Σ c δ_i + Σ c δ_i δ_j (i ≤ j) + Σ (c δ_i b_j + c' δ_i² b_j + c" δ_i b_j²)`, in m² of leak area, coefficients in
 /// this order. It may be negative. The trees, over b, δ (without the load) and `ln(residual + offset)`, correct the latter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -241,9 +242,9 @@ pub struct RelativeFile {
     pub golden: Vec<RelativeGolden>,
 }
 
-/// How a baseline shows the dead band of the machine's valve beyond that of the plant file: half width, share of full command, linear in the
-/// baseline's means less their own mean, standardised. Estimates for a machine with a dead band are less certain, and load, oil and supply move its leak residual
-/// more: each view has a [`KindFile`] for machines without and one for machines with.
+/// How a baseline shows the dead band of the machine's valve beyond that of the plant file: half width, share of full command, linear in
+/// the baseline's means less their own mean, standardised. Estimates for a machine with a dead band are less certain, and load, oil and
+/// supply move its leak residual more: each view has a [`KindFile`] for machines without and one for machines with.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DeadbandFile {
@@ -293,8 +294,8 @@ pub struct TrainingDistribution {
     pub limit: f64,
 }
 
-/// The CUSUM (Page, "Continuous inspection schemes", Biometrika 41 (1954)) of a machine's leak residuals: `S = max(0, S + (residual − reference)/σ − 0.5)`, σ the baseline's own standard deviation of the leak
-/// residual.
+/// The CUSUM (Page, "Continuous inspection schemes", Biometrika 41 (1954)) of a machine's leak residuals: `S = max(0, S + (residual −
+/// reference)/σ − 0.5)`, σ the baseline's own standard deviation of the leak residual.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DetectionFile {
@@ -328,11 +329,12 @@ pub struct RelativeGolden {
 
 /// How causes of a change are told apart.
 ///
-/// The change δ of the phases' means and rises, as `z = B δ`, has noise of variance σ² in each coordinate, where the command's has σ², and of what load,
-/// oil and supply ordinarily do the variance `ordinary`, in no two coordinates together. With the weights `w = 1/√(σ² + ordinary)` a cell's likelihood is
-/// normal about `w·mean`, with covariance `1 + error² |w·z|²/n` in each of the n coordinates, and that of its directions. Means of two cells add, and so do
-/// their errors, that of the seal then of its own `|w·mean|² + Σ |w·direction|²`, that of the other of what the seal's mean leaves of `w·z`.
-/// An error of 0.2 and more is that of a law that nobody has simulated: the likelihood is the mean of that with it and of that with `error² − 0.2² + 0.05²`.
+/// The change δ of the phases' means and rises, as `z = B δ`, has noise of variance σ² in each coordinate, where the command's has σ², and
+/// of what load, oil and supply ordinarily do the variance `ordinary`, in no two coordinates together. With the weights `w = 1/√(σ² +
+/// ordinary)` a cell's likelihood is normal about `w·mean`, with covariance `1 + error² |w·z|²/n` in each of the n coordinates, and that of
+/// its directions. Means of two cells add, and so do their errors, that of the seal then of its own `|w·mean|² + Σ |w·direction|²`, that of
+/// the other of what the seal's mean leaves of `w·z`. An error of 0.2 and more is that of a law that nobody has simulated: the likelihood
+/// is the mean of that with it and of that with `error² − 0.2² + 0.05²`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CausesFile {

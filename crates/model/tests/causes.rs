@@ -117,7 +117,8 @@ fn a_damaged_part_is_refused_with_its_place() {
     assert!(matches!(error, ModelError::Golden { ref path, .. } if path == "causes.golden[0]"), "{error}");
 }
 
-/// A leak of 2e-7 m² moves two means by 0.004 each: σ / (√2 · 0.004 / 2e-7). Where one of the two varies ordinarily beyond all noise, the other is left.
+/// A leak of 2e-7 m² moves two means by 0.004 each: σ / (√2 · 0.004 / 2e-7). Where one of the two varies ordinarily beyond all noise, the
+/// other is left.
 #[test]
 fn analytic_bound_of_a_leak() {
     let mut file = file();

@@ -410,7 +410,8 @@ pub struct Summary {
     pub flag: Flag,
     /// Why there is no estimate at the end.
     pub reason: Option<&'static str>,
-    /// Median of the last estimates, m²; null where fewer than [`LEAST_ESTIMATES`](crate::pipeline::LEAST_ESTIMATES) cycles, or fewer than half, have one.
+    /// Median of the last estimates, m²; null where fewer than [`LEAST_ESTIMATES`](crate::pipeline::LEAST_ESTIMATES) cycles, or fewer than
+    /// half, have one.
     pub leak_area_m2: Option<f64>,
     /// The same as a flow at the reference pressure difference, L/min.
     pub leak_flow_lpm: Option<f64>,

@@ -63,8 +63,8 @@ pub(crate) fn evaluate(py: Python<'_>, words: Vec<String>) -> PyResult<(String, 
     })
 }
 
-/// A diagnosis as JSON, its headline, the plant file as diagnosed, and the curves that were compared: time, phases, and by machine a row for
-/// each signal.
+/// A diagnosis as JSON, its headline, the plant file as diagnosed, and the curves that were compared: time, phases, and by machine a row
+/// for each signal.
 #[pyfunction]
 pub(crate) fn diagnose(py: Python<'_>, words: Vec<String>) -> PyResult<(Py<PyDict>, Vec<String>)> {
     let (diagnosed, warnings) = released(py, || {

@@ -60,8 +60,8 @@ impl RowReader {
         .map_err(PyValueError::new_err)
     }
 
-    /// Estimate and ends of the interval of each row, m²; NaN where a row is no cycle, or unlike all of training. With a baseline's text the
-    /// estimates are relative to it.
+    /// Estimate and ends of the interval of each row, m²; NaN where a row is no cycle, or unlike all of training. With a baseline's text
+    /// the estimates are relative to it.
     #[expect(clippy::type_complexity, reason = "three arrays are three arrays")]
     #[pyo3(signature = (rows, baseline=None))]
     fn estimate<'py>(

@@ -1,8 +1,8 @@
 //! `seepd` for Python: the rooms of the program behind functions that take a command's own words, numpy arrays without copies, and
 //! give Arrow tables.
 //!
-//! What a command of the program does is done here by the command's own code, so that both give the same bits and the same errors. The Python
-//! half (`python/seepd`) has names, types and documentation; this half has the work, with the interpreter's lock released.
+//! What a command of the program does is done here by the command's own code, so that both give the same bits and the same errors. The
+//! Python half (`python/seepd`) has names, types and documentation; this half has the work, with the interpreter's lock released.
 
 mod commands;
 mod cycles;

@@ -88,7 +88,8 @@ pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &SimulatedSignals<Lan
     }
 }
 
-/// Runs at most [`LANES`] machines side by side along the same drive, each with its own leak, and hands each tick to `sink` with its number.
+/// Runs at most [`LANES`] machines side by side along the same drive, each with its own leak, and hands each tick to `sink` with its
+/// number.
 ///
 /// Machines beyond the lanes are not run; callers pass chunks of [`LANES`].
 ///

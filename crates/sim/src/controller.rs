@@ -59,8 +59,8 @@ fn is_one(value: &usize) -> bool {
     *value == 1
 }
 
-/// Command, before the jump, at which the compensation of the dead band is whole, share of full command: below it, it is a steep line, so that
-/// the command does not chatter at rest.
+/// Command, before the jump, at which the compensation of the dead band is whole, share of full command: below it, it is a steep line, so
+/// that the command does not chatter at rest.
 const COMPENSATED_FROM: f64 = 0.003;
 
 /// Time constants after which the integrator's start is forgotten.
@@ -104,8 +104,8 @@ impl Controller {
         }
     }
 
-    /// What it must have been asked for, m, tick by tick, to give those commands at those positions: the PID law solved for the error. What the
-    /// integrator held at the start is forgotten with Kp/Ki; until then, or for three tenths of a cycle of that length, NaN.
+    /// What it must have been asked for, m, tick by tick, to give those commands at those positions: the PID law solved for the error. What
+    /// the integrator held at the start is forgotten with Kp/Ki; until then, or for three tenths of a cycle of that length, NaN.
     pub fn asked_m(&self, command: &[f64], position_m: &[f64], cycle_s: f64) -> Vec<f64> {
         let unsure_s = (FORGOTTEN * self.kp / self.ki.max(f64::MIN_POSITIVE)).min(0.3 * cycle_s);
         let unsure = if self.ki > 0.0 { (unsure_s / self.period_s) as usize } else { 0 };

@@ -1,8 +1,9 @@
 //! Laws without a name: a function of one signal at one place of the machine, by its values at knots.
 //!
 //! The catalogue has causes that somebody has described. What none of them explains can still be *where* (a force, a flow, the valve, the
-//! sensor) and *along what* (speed, position, pressure, time): such a law is a piecewise linear curve over that argument, constant beyond its
-//! ends. `seepd gap` learns it from a log; in a plant file it is a table `[effects.learned_…]` like any effect, which `simulate`, `train` and
+//! sensor) and *along what* (speed, position, pressure, time): such a law is a piecewise linear curve over that argument, constant beyond
+//! its ends. `seepd gap` learns it from a log; in a plant file it is a table `[effects.learned_…]` like any effect, which `simulate`,
+//! `train` and
 //! `gap` know. With all values at 0 it changes no bit.
 
 use std::sync::LazyLock;

@@ -305,8 +305,8 @@ impl<T: Real> Plant<T> {
         State { p_s: self.p_prv, p_3: self.p_prv, p_1, p_2, x, v: T::splat(0.0) }
     }
 
-    /// The state in which a recorded run begins, with the supply at the relief pressure. A pressure that nobody recorded is that of a piston
-    /// which the valve has held against its end, or else what balances the other and the load.
+    /// The state in which a recorded run begins, with the supply at the relief pressure. A pressure that nobody recorded is that of a
+    /// piston which the valve has held against its end, or else what balances the other and the load.
     pub(crate) fn standing(&self, start: &RunStart, load: T) -> State<T> {
         let x = T::splat(start.position_m).max(T::splat(0.0)).min(self.stroke);
         let rest = self.rest(x, load);

@@ -1,10 +1,10 @@
 //! The loop around a plant that somebody else simulates, tick by tick: our controller where the plant has none, and the laws of the
 //! catalogue that act at its ports.
 //!
-//! A port is where a signal goes in or comes out: the command, the load, the measured position. A law between controller and spool acts on the
-//! command, a force on the load, an error of the sensor on what the controller sees. With the controller inside of the plant, what it sees is
-//! reached through its demand: an error e of the position is a demand that is smaller by e, exactly so where the controller knows the control
-//! error alone. Laws in the balances of oil have no port.
+//! A port is where a signal goes in or comes out: the command, the load, the measured position. A law between controller and spool acts on
+//! the command, a force on the load, an error of the sensor on what the controller sees. With the controller inside of the plant, what it
+//! sees is reached through its demand: an error e of the position is a demand that is smaller by e, exactly so where the controller knows
+//! the control error alone. Laws in the balances of oil have no port.
 
 use seepd_signals::Signal;
 
@@ -361,8 +361,8 @@ mod tests {
         (squares / native.len() as f64).sqrt() / (high - low)
     }
 
-    /// The loop alone is ours to the bit but for the load, which is held over a tick; laws at ports are the laws inside to parts of a thousand
-    /// (a force that is held over a tick lags by half of it). What each of them does is ten times more.
+    /// The loop alone is ours to the bit but for the load, which is held over a tick; laws at ports are the laws inside to parts of a
+    /// thousand (a force that is held over a tick lags by half of it). What each of them does is ten times more.
     #[test]
     fn laws_at_the_ports_are_the_laws_inside() {
         assert!(apart("none") < 1e-5, "{}", apart("none"));

@@ -1,4 +1,5 @@
-//! What may lie between the demand of the log and the loop inside of a simulator: a whole-run simulator has no other port that needs no answer.
+//! What may lie between the demand of the log and the loop inside of a simulator: a whole-run simulator has no other port that needs no
+//! answer.
 
 use seepd_gap::simulated_axis::EffectValues;
 use seepd_sim::effects::{EffectInfo, Equation, Parameter};

@@ -1,5 +1,5 @@
-//! The plant file for an FMU of ours: the press or the electric axis as a simulator like any other, with the same parameters, priors and effects
-//! as natively.
+//! The plant file for an FMU of ours: the press or the electric axis as a simulator like any other, with the same parameters, priors and
+//! effects as natively.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;

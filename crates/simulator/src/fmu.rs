@@ -1,7 +1,7 @@
 //! An FMU as the simulator: unpacked once, and hosted by processes that may die.
 //!
-//! Whoever hosts one is this very program, started again: [`serve`] loads the model, runs the loop around it tick by tick, and answers each run
-//! with one line. What the model prints goes to the standard error, where it cannot spoil an answer.
+//! Whoever hosts one is this very program, started again: [`serve`] loads the model, runs the loop around it tick by tick, and answers each
+//! run with one line. What the model prints goes to the standard error, where it cannot spoil an answer.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
@@ -80,8 +80,8 @@ pub fn platform() -> String {
     format!("{}-{system}", std::env::consts::ARCH)
 }
 
-/// Holds a plant file against its FMU, of which nothing is run: variables, units, a binary for this machine. Remarks are what is allowed and
-/// should be known.
+/// Holds a plant file against its FMU, of which nothing is run: variables, units, a binary for this machine. Remarks are what is allowed
+/// and should be known.
 ///
 /// # Errors
 /// [`FmuError`] for an FMU that `gap` would refuse.

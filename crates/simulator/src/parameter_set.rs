@@ -1,5 +1,5 @@
-//! What a diagnosis found, for the tool that has the model: values as a parameter set of SSP 1.0 (`.ssv`), which importers of FMUs read, and, for
-//! effects at the model's ports, which no value inside of it brings about, what to add there, in words.
+//! What a diagnosis found, for the tool that has the model: values as a parameter set of SSP 1.0 (`.ssv`), which importers of FMUs read,
+//! and, for effects at the model's ports, which no value inside of it brings about, what to add there, in words.
 
 use seepd_gap::simulated_axis::EffectValues;
 use seepd_sim::effects::{self, EffectInfo};

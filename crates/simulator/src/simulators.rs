@@ -134,7 +134,8 @@ fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl Simulators {
-    /// Simulators that run in a folder; nothing is started yet. `host` is the program, with its arguments, that calls [`crate::fmu::serve`].
+    /// Simulators that run in a folder; nothing is started yet. `host` is the program, with its arguments, that calls
+    /// [`crate::fmu::serve`].
     #[expect(
         clippy::disallowed_methods,
         reason = "a budget of minutes is of the wall clock; results do not depend on it otherwise"

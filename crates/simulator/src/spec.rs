@@ -165,8 +165,8 @@ pub struct ParameterSpec {
     /// How well it is known: standard deviation of its logarithm, or in its own unit where its bounds are not both positive.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sigma: Option<f64>,
-    /// A change that is small, in its own unit, for a parameter whose bounds are not both positive; a fifth of what lies between them where none
-    /// is given.
+    /// A change that is small, in its own unit, for a parameter whose bounds are not both positive; a fifth of what lies between them where
+    /// none is given.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<f64>,
     /// Whether logs hardly tell it: no effect is then called for it, and a calibration leaves it.

@@ -129,7 +129,8 @@ fn warm_up_from_s(spec: &MachineSpec) -> f64 {
 /// The warm-up is no shorter than the rest of the period after this share.
 const LATEST_WARM_UP: f64 = 0.6;
 
-/// Runs the machines over the end of a warm-up cycle and one cycle more, and hands each one's noiseless command, as its log would have it, to
+/// Runs the machines over the end of a warm-up cycle and one cycle more, and hands each one's noiseless command, as its log would have it,
+/// to
 /// `reduce` with its index. The recording ends late enough for the last stroke to be confirmed.
 pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[f64]) -> R + Sync) -> Vec<R> {
     let jobs: Vec<Job> = observations

@@ -129,8 +129,8 @@ fn demand_mark(spec: &MachineSpec, first: &Move) -> DemandMark {
     }
 }
 
-/// Strokes by their names, holds between them by number; a load step within a hold divides it. Where events end holds between a phase and the
-/// stroke by which it is timed, a hold keeps the part that it has in every cycle, and a stroke whose place is not sure is no phase.
+/// Strokes by their names, holds between them by number; a load step within a hold divides it. Where events end holds between a phase and
+/// the stroke by which it is timed, a hold keeps the part that it has in every cycle, and a stroke whose place is not sure is no phase.
 fn phases_of(spec: &MachineSpec, anchors: &[usize]) -> Vec<PhaseFile> {
     let cycle = &spec.cycle;
     let mut phases: Vec<PhaseFile> = Vec::new();

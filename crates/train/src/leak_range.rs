@@ -1,5 +1,5 @@
-//! Which leaks a machine is trained on: the article's range, moved by octaves to the size of the machine's valve and cut by octaves where the
-//! machine cannot follow its duty cycle any more.
+//! Which leaks a machine is trained on: the article's range, moved by octaves to the size of the machine's valve and cut by octaves where
+//! the machine cannot follow its duty cycle any more.
 
 use seepd_sim::{MachineSpec, Size};
 

@@ -1,8 +1,8 @@
 //! The valve near its null, where a healthy log says nothing of it.
 //!
-//! Rounded edges pass more oil there than in proportion to the command, an overlap of a few thousandths passes less: data sheets leave the flow
-//! gain of the null region open between half and twice the rated one (ISO 10770-1 measures it by itself). A leak is sized by the command
-//! that holds against it, and a small one is held within that region.
+//! Rounded edges pass more oil there than in proportion to the command, an overlap of a few thousandths passes less: data sheets leave the
+//! flow gain of the null region open between half and twice the rated one (ISO 10770-1 measures it by itself). A leak is sized by the
+//! command that holds against it, and a small one is held within that region.
 
 use seepd_sim::PlantParameters;
 
@@ -12,8 +12,8 @@ const RATED_PA: f64 = 7e6;
 const REGION: f64 = 0.02;
 const STAYS: f64 = 0.2;
 
-/// Leak that a valve in proportion would have to hold against for the command that this one takes, m²; its flow gain is off by `1 / (1 + deviation)`
-/// at the null.
+/// Leak that a valve in proportion would have to hold against for the command that this one takes, m²; its flow gain is off by `1 / (1 +
+/// deviation)` at the null.
 pub(crate) fn leak_as_held_m2(plant: &PlantParameters, leak_area_m2: f64, deviation: f64) -> f64 {
     let rated_m3_per_s = plant.valve_m3_per_s_sqrt_pa * (0.5 * RATED_PA).sqrt();
     let share = plant.orifice_flow_m3_per_s(leak_area_m2, RATED_PA) / rated_m3_per_s;

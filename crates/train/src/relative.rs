@@ -681,7 +681,8 @@ pub fn cycles_between_false_alarms(threshold: f64, allowance: f64) -> f64 {
     (exponent.exp() - exponent - 1.0) / (2.0 * allowance * allowance)
 }
 
-/// Learns and calibrates; `None` where the simulated cycles were not found or carry no information. `tell` hears of the machines done and all.
+/// Learns and calibrates; `None` where the simulated cycles were not found or carry no information. `tell` hears of the machines done and
+/// all.
 ///
 /// # Errors
 /// [`TrainError`] for a portion that is damaged.

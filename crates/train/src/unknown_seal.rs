@@ -1,7 +1,7 @@
 //! The law by which a worn seal leaks, where nobody knows it: a scratch is an orifice, an even gap is laminar, most wear is between them.
 //!
-//! The article's leak is an orifice. Between an orifice and a gap lies every exponent of the pressure difference from 0.5 to 1 (Merritt, Hydraulic
-//! Control Systems, 1967, chapter 3); what they share is the flow at the pressure difference at which leaks are given.
+//! The article's leak is an orifice. Between an orifice and a gap lies every exponent of the pressure difference from 0.5 to 1 (Merritt,
+//! Hydraulic Control Systems, 1967, chapter 3); what they share is the flow at the pressure difference at which leaks are given.
 
 use seepd_sim::PlantParameters;
 use seepd_sim::noise::Noise;
@@ -31,7 +31,8 @@ pub(crate) fn with_gap(plant: &mut PlantParameters, leak_area_m2: f64, laminar_s
 mod tests {
     use super::*;
 
-    /// At the reference pressure difference a leak is as large under every law; at a quarter of it an orifice still passes half, a gap a quarter.
+    /// At the reference pressure difference a leak is as large under every law; at a quarter of it an orifice still passes half, a gap a
+    /// quarter.
     #[test]
     fn a_leak_is_as_large_under_every_law() {
         let healthy = PlantParameters::default();

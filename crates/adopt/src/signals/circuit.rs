@@ -1,7 +1,8 @@
 //! Pressures: which of the circuit's places each column is from.
 //!
-//! The supply is above all others. Of the two chambers, the cap's is the one that the command raises beyond what the piston's speed makes up
-//! for, and the one that swings less where both swing together: a piston in balance weighs them by its areas, and the cap's is the larger.
+//! The supply is above all others. Of the two chambers, the cap's is the one that the command raises beyond what the piston's speed makes
+//! up for, and the one that swings less where both swing together: a piston in balance weighs them by its areas, and the cap's is the
+//! larger.
 
 use std::collections::BTreeMap;
 

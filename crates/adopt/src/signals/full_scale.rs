@@ -1,4 +1,5 @@
-//! What full command is in a command's own unit, and where its null is. The largest value seen does not say: few cycles ask for full command.
+//! What full command is in a command's own unit, and where its null is. The largest value seen does not say: few cycles ask for full
+//! command.
 
 use super::trace::Trace;
 use super::units::Quantity;

@@ -1,7 +1,8 @@
 //! Which column of a log is which signal: names and units say what to look at first, physics decides.
 //!
-//! A valve command is bounded and leads the speed; a position is smooth, and its slope goes with the command; a demand leads the position and is
-//! without noise; pressures and loads go with each other. What physics cannot tell apart is asked, and never guessed with confidence.
+//! A valve command is bounded and leads the speed; a position is smooth, and its slope goes with the command; a demand leads the position
+//! and is without noise; pressures and loads go with each other. What physics cannot tell apart is asked, and never guessed with
+//! confidence.
 
 mod circuit;
 mod correlation;

@@ -76,7 +76,8 @@ pub const HEALTHY: &str = "healthy";
 /// What later logs a case has beside its two or three leaks.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Later {
-    /// Leaks from 0.2 % of the valve's rated flow in steps of 1.5, in the place of those that are drawn: they tell the smallest that is found.
+    /// Leaks from 0.2 % of the valve's rated flow in steps of 1.5, in the place of those that are drawn: they tell the smallest that is
+    /// found.
     pub ladder: bool,
     /// Duty cycles of the healthy one, in the place of 20 to 30.
     pub healthy_cycles: Option<usize>,

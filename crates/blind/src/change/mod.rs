@@ -74,8 +74,8 @@ const CAUSES: [&str; 12] = [
     "valve_dead_band",
 ];
 
-/// Draws machines: a quarter unchanged, a quarter with a leak, of the rest three in twelve with a leak beside another cause and one in twelve with a
-/// cause that has no name.
+/// Draws machines: a quarter unchanged, a quarter with a leak, of the rest three in twelve with a leak beside another cause and one in
+/// twelve with a cause that has no name.
 pub fn draw(seed: u64, machines: usize) -> Vec<Watched> {
     (0..machines)
         .map(|index| {
@@ -196,8 +196,8 @@ fn plant_outside(change: &mut Change, noise: &mut Noise) {
 }
 
 impl Watched {
-    /// Runs the machine: its baseline, then what has changed. `sink` has each sample with the number of its stage, 0 for the baseline. Whether all stayed
-    /// finite.
+    /// Runs the machine: its baseline, then what has changed. `sink` has each sample with the number of its stage, 0 for the baseline.
+    /// Whether all stayed finite.
     pub fn run(&self, mut sink: impl FnMut(usize, PressSample)) -> bool {
         let mut noise = Noise::new(self.seed, 5);
         let day = |noise: &mut Noise| {

@@ -12,15 +12,16 @@ use crate::config::{embedded_model, load_model};
 use crate::failure::{Code, Failure};
 use crate::sink::terminal::print;
 
-/// Standard deviations at which a leak stands out: one in 10,000 healthy readings reaches 3.72, and nine in ten leaks of that size plus 1.28 do.
+/// Standard deviations at which a leak stands out: one in 10,000 healthy readings reaches 3.72, and nine in ten leaks of that size plus
+/// 1.28 do.
 const FOUND_FROM: f64 = 3.72 + 1.28;
 /// Cycles after the change whose mean is taken.
 const CYCLES: [u32; 5] = [1, 3, 10, 30, 100];
 
 /// Tell how small a leak the command can show at all
 ///
-/// The Cramér–Rao bound: no estimate that knows the phases' means and rises alone, however it is made, scatters less than this. A leak counts as
-/// found where a healthy machine is taken for one in 10,000 readings, and such a leak is missed in one of ten.
+/// The Cramér–Rao bound: no estimate that knows the phases' means and rises alone, however it is made, scatters less than this. A leak
+/// counts as found where a healthy machine is taken for one in 10,000 readings, and such a leak is missed in one of ten.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd bound --noise 0.003 --baseline-cycles 50")]
 pub struct BoundArguments {
@@ -44,7 +45,8 @@ struct Bound {
     schema: &'static str,
     /// Cycles.
     cycles: u32,
-    /// Least standard deviation of the leak's area, m²: with load, oil and supply anywhere within their ordinary range, and with them known.
+    /// Least standard deviation of the leak's area, m²: with load, oil and supply anywhere within their ordinary range, and with them
+    /// known.
     deviation_m2: f64,
     deviation_known_m2: f64,
     /// Smallest leak found, L/min, in either case.

@@ -21,7 +21,8 @@ use crate::failure::{Code, Failure};
 use crate::output::{Outputs, OverwriteArguments};
 use crate::progress::{Steps, warn};
 
-/// Checks named causes on machines of another simulator: each has a baseline, then a step or a drift of a cause that is withheld from the monitor.
+/// Checks named causes on machines of another simulator: each has a baseline, then a step or a drift of a cause that is withheld from the
+/// monitor.
 #[derive(Debug, Args)]
 #[command(after_help = "Example: seepd cause-blind --machines 200 --seed 7")]
 pub struct CauseBlindArguments {

@@ -45,8 +45,8 @@ pub struct ExportFmuArguments {
     /// Version of FMI: 2 is read by every tool
     #[arg(long, value_name = "2|3", default_value_t = 2, value_parser = clap::value_parser!(u8).range(2..=3))]
     fmi: u8,
-    /// The library that goes in, by platform (x86_64-linux, aarch64-linux, x86_64-windows, …); may be repeated [default: the one that lies beside
-    /// the program]
+    /// The library that goes in, by platform (x86_64-linux, aarch64-linux, x86_64-windows, …); may be repeated [default: the one that lies
+    /// beside the program]
     #[arg(long, value_name = "PLATFORM=FILE", value_parser = library)]
     library: Vec<(Platform, PathBuf)>,
     /// Write the plant file with which `gap` takes the FMU for its simulator

@@ -388,8 +388,8 @@ pub fn warn_of_cavitation(clamped_pressures: u64) {
     }
 }
 
-/// Simulates, and hands on what the log holds: time, ns, number of the cycle, signals and truth. Gives the plant steps in which a pressure was
-/// held at 0.
+/// Simulates, and hands on what the log holds: time, ns, number of the cycle, signals and truth. Gives the plant steps in which a pressure
+/// was held at 0.
 ///
 /// # Errors
 /// [`Failure`] where the simulation went out of bounds, and what `take` gives.

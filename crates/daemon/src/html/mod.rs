@@ -17,8 +17,8 @@ pub mod study;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-/// Colours of reports and of the dashboard alike: they follow the reader's light or dark setting, and paper gets the light one. Texts have a
-/// contrast of 4.5 at least.
+/// Colours of reports and of the dashboard alike: they follow the reader's light or dark setting, and paper gets the light one. Texts have
+/// a contrast of 4.5 at least.
 const PALETTE: &str = include_str!("palette.css");
 /// Layout of every report. The chart's classes take their colours from the palette.
 const STYLE: &str = "

@@ -55,7 +55,8 @@ pub struct HealthyCourse {
 }
 
 impl HealthyCourse {
-    /// Takes a healthy cycle that ended at a time, ns; those that come once there are enough, and those of another duty cycle, are left out.
+    /// Takes a healthy cycle that ended at a time, ns; those that come once there are enough, and those of another duty cycle, are left
+    /// out.
     pub fn take(&mut self, course: &Course, end_ns: i64) {
         if self.cycles >= HEALTHY_CYCLES || course.points.is_empty() {
             return;

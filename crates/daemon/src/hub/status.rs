@@ -100,8 +100,8 @@ pub struct AxisStatus {
     pub cycle: Option<u64>,
     /// End of the last cycle, ns on the daemon's line of time.
     pub t_last_cycle_ns: Option<i64>,
-    /// From the sample that closed the last cycle to its publication, s; the segmenter's look-ahead is not in it. None where a log is read as
-    /// fast as can be, whose times are its own.
+    /// From the sample that closed the last cycle to its publication, s; the segmenter's look-ahead is not in it. None where a log is read
+    /// as fast as can be, whose times are its own.
     pub publication_delay_s: Option<f64>,
     /// Cycles with an estimate.
     pub cycles: u64,

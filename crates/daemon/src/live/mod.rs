@@ -234,8 +234,8 @@ impl Daemon {
         self.watchdog.watch(self.axes.iter().map(|axis| Arc::clone(&axis.progress)).collect());
     }
 
-    /// Works until told to stop, or until all axes have ended. Without a configuration file there is nothing to reload: a terminal that hangs
-    /// up ends it.
+    /// Works until told to stop, or until all axes have ended. Without a configuration file there is nothing to reload: a terminal that
+    /// hangs up ends it.
     async fn work(&mut self, path: Option<&Path>, signals: Signals) -> Result<(), Failure> {
         let Signals { mut reload, mut terminate, mut interrupt } = signals;
         let mut kept = self.keeper.changes();

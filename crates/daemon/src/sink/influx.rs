@@ -1,5 +1,5 @@
-//! Conditions as InfluxDB's line protocol: a datagram an axis after each cycle and every few seconds, for Telegraf, InfluxDB 1 and others that
-//! listen on UDP. Nothing waits: a datagram that does not go out is counted, and the next one has the newest condition.
+//! Conditions as InfluxDB's line protocol: a datagram an axis after each cycle and every few seconds, for Telegraf, InfluxDB 1 and others
+//! that listen on UDP. Nothing waits: a datagram that does not go out is counted, and the next one has the newest condition.
 
 use std::fmt::Write;
 use std::io;

@@ -1,15 +1,15 @@
 //! Cycles of many strokes: found by the order of all of them.
 //!
 //! Where strokes look alike, or where events end the holds between them, two strokes at a planned distance do not tell a cycle. Here
-//! every stroke has a template: what matches the first begins a row, what matches the next within its window goes on with it, and a row that
-//! reaches the last stroke is a cycle. Of rows that overlap the one that matches best counts.
+//! every stroke has a template: what matches the first begins a row, what matches the next within its window goes on with it, and a row
+//! that reaches the last stroke is a cycle. Of rows that overlap the one that matches best counts.
 
 use super::{CycleDefinition, MAX_ANCHORS, Match, Orphan, SegmentEvent};
 
 /// Rows that are remembered for each stroke that was their latest.
 const REMEMBERED: usize = 6;
-/// A row that is the first after a standstill or a gap waits that long for a better one that overlaps it, share of the period: one that begins with
-/// a later stroke of the same shape ends before the right one does.
+/// A row that is the first after a standstill or a gap waits that long for a better one that overlaps it, share of the period: one that
+/// begins with a later stroke of the same shape ends before the right one does.
 pub(super) const RIVAL_SHARE: f64 = 1.0;
 /// Rows with fewer strokes than this share of a cycle's are no cycle that broke off.
 const TELLING_SHARE: f64 = 0.3;

@@ -59,8 +59,8 @@ impl FrameDecoder {
     /// Finds the mapping's signals. A signal under its own name may be missing, unless it is the command.
     ///
     /// # Errors
-    /// [`LogError::Mapping`]: a signal has neither bits nor a DBC file that names it, its bits are none of a frame, or the counter is not in
-    /// the command's frame.
+    /// [`LogError::Mapping`]: a signal has neither bits nor a DBC file that names it, its bits are none of a frame, or the counter is not
+    /// in the command's frame.
     pub fn new(
         mapping: Vec<(Signal, SignalMapping)>,
         counter: Option<&CounterMapping>,

@@ -1,7 +1,7 @@
 //! J1939: frames by the number of their parameter group, whoever sends them.
 //!
-//! An identifier of 29 bits has a priority (3 bits), a page (2), a format (8), a specific part (8: the destination where the format is below
-//! 240, else a part of the number) and the source's address (8).
+//! An identifier of 29 bits has a priority (3 bits), a page (2), a format (8), a specific part (8: the destination where the format is
+//! below 240, else a part of the number) and the source's address (8).
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 

@@ -2,8 +2,8 @@
 //! their topics, encodings and rates.
 //!
 //! The log is read twice. The first time finds its fields and rates ([`survey`](crate::survey)), the second fills a grid at the rate of the
-//! fastest topic. A long log is thinned until it fits in [`MOST_SAMPLES`], though not below [`LEAST_RATE_HZ`]; what is longer still is cut to
-//! the stretch that begins at a tenth of it.
+//! fastest topic. A long log is thinned until it fits in [`MOST_SAMPLES`], though not below [`LEAST_RATE_HZ`]; what is longer still is cut
+//! to the stretch that begins at a tenth of it.
 
 mod fill;
 mod grid;

@@ -1,8 +1,8 @@
 //! Causes that a machine's command does not tell from a leak: they and the seal are one class.
 //!
-//! With a P controller and no load, a leak and a shifted null move the command by the same in every hold. A null's response is exact, a leak's is known
-//! within its law, so that likelihoods alone would take every such leak for a null and a little leak beside it. What cannot be told apart is weighed
-//! by what was known beforehand, and no part of it is taken off a leak.
+//! With a P controller and no load, a leak and a shifted null move the command by the same in every hold. A null's response is exact, a
+//! leak's is known within its law, so that likelihoods alone would take every such leak for a null and a little leak beside it. What cannot
+//! be told apart is weighed by what was known beforehand, and no part of it is taken off a leak.
 
 use alloc::vec::Vec;
 
@@ -29,8 +29,8 @@ impl Causes {
         }
     }
 
-    /// Shares what the cells of the class have together, logarithms of weights, between leaks and the others by their priors, where the others have
-    /// more than that. Gives the largest weight that comes of it.
+    /// Shares what the cells of the class have together, logarithms of weights, between leaks and the others by their priors, where the
+    /// others have more than that. Gives the largest weight that comes of it.
     pub(super) fn share_by_priors(&self, alone: &mut [f64]) -> f64 {
         if !self.cells.iter().any(is_other) {
             return f64::NEG_INFINITY;
@@ -124,8 +124,8 @@ mod tests {
         Causes::from_file(file).unwrap()
     }
 
-    /// A response that a leak and a null have in common is the one's or the other's by what was known beforehand, and nothing is taken off the
-    /// leak. Where the two part, a null is a null.
+    /// A response that a leak and a null have in common is the one's or the other's by what was known beforehand, and nothing is taken off
+    /// the leak. Where the two part, a null is a null.
     #[test]
     fn what_cannot_be_told_from_a_leak_takes_nothing_off_it() {
         let shifted = [0.006, 0.006, 0.0, 0.0];

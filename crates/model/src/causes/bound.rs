@@ -1,8 +1,8 @@
 //! How small a leak the cycle's numbers can show at all: the Cramér–Rao bound.
 //!
-//! No estimate without bias has a smaller variance than 1/(rᵀ C⁻¹ r), where r is what a leak of size 1 does to the numbers and C their covariance (Kay,
-//! Fundamentals of Statistical Signal Processing: Estimation Theory, 1993, section 3.9). In the file's coordinates C is diagonal: noise, and what load, oil
-//! and supply ordinarily do.
+//! No estimate without bias has a smaller variance than 1/(rᵀ C⁻¹ r), where r is what a leak of size 1 does to the numbers and C their
+//! covariance (Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993, section 3.9). In the file's coordinates C is
+//! diagonal: noise, and what load, oil and supply ordinarily do.
 
 use super::Causes;
 
@@ -16,9 +16,9 @@ pub enum KnownConditions {
 }
 
 impl Causes {
-    /// Least standard deviation of a small leak's area, m², of the law that estimates have learned, by an estimate that knows nothing but the
-    /// numbers; `None` of a model without such leaks. `noise` is the standard deviation of the noise left on the command in the change: a
-    /// cycle's times √(1/cycles + 1/baseline cycles).
+    /// Least standard deviation of a small leak's area, m², of the law that estimates have learned, by an estimate that knows nothing but
+    /// the numbers; `None` of a model without such leaks. `noise` is the standard deviation of the noise left on the command in the change:
+    /// a cycle's times √(1/cycles + 1/baseline cycles).
     pub fn least_leak_deviation_m2(&self, noise: f64, conditions: KnownConditions) -> Option<f64> {
         let mut leaks = self.leaks.iter().map(|leak| &self.cells[*leak]);
         let cell = leaks.find(|cell| !cell.has_other_law)?;

@@ -5,7 +5,8 @@ use super::{Causes, Cell, Change, MAX_NUMBERS, MAX_RANK};
 /// Most directions of a hypothesis: those of two cells.
 const MOST_DIRECTIONS: usize = 2 * MAX_RANK;
 
-/// A change in whitened coordinates, those beyond the model's 0. Their number is known to the compiler, so that sums over them are of one piece.
+/// A change in whitened coordinates, those beyond the model's 0. Their number is known to the compiler, so that sums over them are of one
+/// piece.
 pub(super) struct Whitened<const N: usize> {
     pub(super) count: usize,
     /// What a coordinate is multiplied by.
@@ -107,7 +108,8 @@ impl Causes {
         dot(&whitened.change, &whitened.change) / whitened.count.max(1) as f64
     }
 
-    /// Standard deviation of the noise on the command with which the phases' means scatter like this from cycle to cycle: the median over phases.
+    /// Standard deviation of the noise on the command with which the phases' means scatter like this from cycle to cycle: the median over
+    /// phases.
     pub fn noise_of(&self, deviations: &[f64]) -> f64 {
         let n = self.numbers().max(1);
         let mut noise = [0.0; MAX_NUMBERS];
@@ -145,7 +147,8 @@ impl Causes {
         let mut directions = [[0.0; N]; MOST_DIRECTIONS];
         let (mut rank, mut scale, mut simulated) = (0, 1.0, 1.0);
         for (place, cell) in cells.iter().enumerate() {
-            // The last cell's response is what the cell before it leaves of the change, or most of it: its error goes by that, whichever cell it is.
+            // The last cell's response is what the cell before it leaves of the change, or most of it: its error goes by that, whichever
+            // cell it is.
             let is_last = place + 1 == cells.len();
             let mean = whitened.weighted(self.mean_of(cell));
             let mut length = if is_last { dot(&rest, &rest) } else { dot(&mean, &mean) };
@@ -238,7 +241,8 @@ pub(super) struct Moments {
 }
 
 impl Moments {
-    /// Fits, in so many coordinates: half of all causes follow a law that training has simulated, half another. The likelier of both says the sizes.
+    /// Fits, in so many coordinates: half of all causes follow a law that training has simulated, half another. The likelier of both says
+    /// the sizes.
     pub(super) fn fit(&self, n: usize) -> Fit {
         let any = self.fit_with(n, self.scale);
         if self.simulated >= self.scale {

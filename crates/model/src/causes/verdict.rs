@@ -15,7 +15,8 @@ const Z_90: f64 = 1.645;
 const NEGLIGIBLE: f64 = -12.0;
 /// Numbers of a change of up to eight phases, which is most machines': two a phase.
 const USUAL_NUMBERS: usize = 16;
-/// Logarithm of the weight over the best from which on a cause is tried beside leaks: that of the pair is about what it has whatever the seal does.
+/// Logarithm of the weight over the best from which on a cause is tried beside leaks: that of the pair is about what it has whatever the
+/// seal does.
 const WORTH_TRYING: f64 = -9.0;
 /// Most pairs that count.
 const MAX_PAIRS: usize = 64;
@@ -190,7 +191,8 @@ impl Causes {
 }
 
 impl Causes {
-    /// Whether a cell's response adds to that of a leak. Under a dead band a leak answers in another way, and a valve of another shape would pass for both.
+    /// Whether a cell's response adds to that of a leak. Under a dead band a leak answers in another way, and a valve of another shape
+    /// would pass for both.
     fn adds_to_a_leak(&self, cell: &Cell) -> bool {
         if cell.is_alike {
             return false;
@@ -254,8 +256,8 @@ impl<'c, const N: usize> Weighed<'c, N> {
         }
     }
 
-    /// Weighs a cell of another cause beside leaks, from one of a size on towards larger and towards smaller ones, as far as they have any weight: it rises to
-    /// one size and falls from there. Gives the place of the likeliest leak.
+    /// Weighs a cell of another cause beside leaks, from one of a size on towards larger and towards smaller ones, as far as they have any
+    /// weight: it rises to one size and falls from there. Gives the place of the likeliest leak.
     fn weigh_beside_leaks(&mut self, other: usize, from: usize, best: &mut f64) -> usize {
         let causes = self.causes;
         let (mut likeliest, mut place) = (f64::NEG_INFINITY, from);
@@ -284,8 +286,8 @@ impl<'c, const N: usize> Weighed<'c, N> {
         place
     }
 
-    /// What leaks of any size do: a leak's response turns as it grows, so that the smallest one and one of a middle size span it. What the law leaves lies
-    /// along it; the rest of the change is another cause's, and so is what that one's law leaves.
+    /// What leaks of any size do: a leak's response turns as it grows, so that the smallest one and one of a middle size span it. What the
+    /// law leaves lies along it; the rest of the change is another cause's, and so is what that one's law leaves.
     fn any_leak(&self) -> Option<AnyLeak<N>> {
         let leaks = &self.causes.leaks;
         let smallest = &self.causes.cells[*leaks.first()?];

@@ -1,6 +1,7 @@
 //! Has the machine left its baseline for good? Two cumulative sums over cycles (Page, "Continuous inspection schemes", Biometrika 41
-//! (1954)), one for a leak and one for the opposite. No doubtful cycle alone brings either to its threshold (after the two-in-a-row rule of Lucas
-//! and Crosier, "Robust CUSUM", Communications in Statistics A 11 (1982)): the first one after a pause, for instance, is like no other.
+//! (1954)), one for a leak and one for the opposite. No doubtful cycle alone brings either to its threshold (after the two-in-a-row rule of
+//! Lucas and Crosier, "Robust CUSUM", Communications in Statistics A 11 (1982)): the first one after a pause, for instance, is like no
+//! other.
 
 use seepd_model::relative::DRIFT_ALLOWANCE;
 use serde::{Deserialize, Serialize};

@@ -1,7 +1,8 @@
 //! Each cause over cycles: a sum that finds it, when it began, whether it came at once or grows, and when it will matter.
 //!
-//! The sum is Page's, as the leak's is, of the logarithm of the odds that the cycles since the last change give a cause. The odds have what noise, load,
-//! oil and supply do by themselves in them already; what a cycle adds is bounded, so that none decides alone. The seal has its own CUSUM and trend.
+//! The sum is Page's, as the leak's is, of the logarithm of the odds that the cycles since the last change give a cause. The odds have what
+//! noise, load, oil and supply do by themselves in them already; what a cycle adds is bounded, so that none decides alone. The seal has its
+//! own CUSUM and trend.
 
 use seepd_model::causes::{Candidate, Cause, ChangeVerdict, Explanation, Kind, SizeUnit};
 use serde::{Deserialize, Serialize};
@@ -393,7 +394,8 @@ impl Course {
         }
         self.is_found |= self.sum >= THRESHOLD;
         let Some(Candidate { size, interval90, .. }) = candidate else { return };
-        // The size of this cycle alone, of which the mean's size has moved by a share: without it a mean that follows would look like a drift.
+        // The size of this cycle alone, of which the mean's size has moved by a share: without it a mean that follows would look like a
+        // drift.
         let before = if self.onset.is_some() { self.size } else { *size };
         let alone = before + mean_of.clamp(1.0, MEAN_OF) * (size - before);
         (self.size, self.interval90) = (*size, *interval90);

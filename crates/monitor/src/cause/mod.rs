@@ -1,7 +1,7 @@
 //! What has changed since the baseline, beside the leak: causes over cycles, and the leak sized beside them.
 //!
-//! A step changes a cycle at once: the mean of the cycles since then says more than any of them. Without one the mean forgets, so that it follows
-//! a drift.
+//! A step changes a cycle at once: the mean of the cycles since then says more than any of them. Without one the mean forgets, so that it
+//! follows a drift.
 
 pub mod condition;
 pub mod course;
@@ -37,8 +37,8 @@ pub const fn name_of(verdict: ChangeVerdict) -> &'static str {
     }
 }
 
-/// How much of a leak residual counts as one: all of it where a leak explains the cycles as well as other causes do, the less the more these do better.
-/// A change that is too small to be named yet is no leak only because it moves the command as one would.
+/// How much of a leak residual counts as one: all of it where a leak explains the cycles as well as other causes do, the less the more
+/// these do better. A change that is too small to be named yet is no leak only because it moves the command as one would.
 pub(crate) fn share_of_seal(explanation: &Explanation) -> f64 {
     against(explanation.seal, explanation.without_seal() - explanation.none)
 }
@@ -47,8 +47,8 @@ fn against(seal: f64, others: f64) -> f64 {
     (seal / others.max(f64::MIN_POSITIVE)).min(1.0)
 }
 
-/// Whether a cause's response is taken off the phases' means before the leak is sized. The comparison knows load, oil and supply as conditions by itself, as far
-/// as training has seen them.
+/// Whether a cause's response is taken off the phases' means before the leak is sized. The comparison knows load, oil and supply as
+/// conditions by itself, as far as training has seen them.
 pub(crate) fn is_taken_off(kind: Kind, knows_load: bool, is_beyond_training: bool) -> bool {
     match (kind.cause, kind.unit) {
         (Cause::Load, SizeUnit::Share) => is_beyond_training && !knows_load,
@@ -68,9 +68,9 @@ pub(crate) fn leak_beyond_training(
     Some(RelativeEstimate { estimate, leak_residual_m2: seal.size, ..plain })
 }
 
-/// A leak whose law may be another than the estimate has learned. `of_mean` is the estimate of the mean of cycles that has been explained: what other
-/// laws make of that in the mean holds for the cycle `now`. The size follows another law once that is certain; until then the interval
-/// has what is open.
+/// A leak whose law may be another than the estimate has learned. `of_mean` is the estimate of the mean of cycles that has been explained:
+/// what other laws make of that in the mean holds for the cycle `now`. The size follows another law once that is certain; until then the
+/// interval has what is open.
 pub(crate) fn under_any_law(
     law: &OtherLaw,
     now: RelativeEstimate,
@@ -95,7 +95,8 @@ pub(crate) fn under_any_law(
     RelativeEstimate { estimate, leak_residual_m2: ratio * now.leak_residual_m2, contributions_m2, ..now }
 }
 
-/// The leak beside a cause whose response was taken off: none in an explanation without the seal; the interval has what other explanations leave open.
+/// The leak beside a cause whose response was taken off: none in an explanation without the seal; the interval has what other explanations
+/// leave open.
 pub(crate) fn beside(
     explanation: &Explanation,
     has_leak: bool,
@@ -136,8 +137,8 @@ mod tests {
         }
     }
 
-    /// An orifice's 1 mm² ± 0.1 or a gap's 1.4 ± 0.2. In doubt it is the orifice's, with the variance of both and of their distance from it;
-    /// a certain gap's is 1.4. It holds for the mean, and by the share for a cycle that has grown since.
+    /// An orifice's 1 mm² ± 0.1 or a gap's 1.4 ± 0.2. In doubt it is the orifice's, with the variance of both and of their distance from
+    /// it; a certain gap's is 1.4. It holds for the mean, and by the share for a cycle that has grown since.
     #[test]
     fn analytic_a_leak_follows_another_law_once_that_is_certain() {
         let of_mean = estimate(1e-6, [1e-6 - Z_90 * 0.1e-6, 1e-6 + Z_90 * 0.1e-6]);

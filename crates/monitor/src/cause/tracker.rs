@@ -7,8 +7,8 @@ use crate::baseline::Baseline;
 
 /// Cycles whose mean is explained, at most: from there on the mean forgets.
 const MOST_CYCLES: u64 = 16;
-/// Squared distance over the number of coordinates of a cycle from the mean of those before it at which it begins anew: of 1e5 cycles that only noise and
-/// ordinary variation tell apart, one is as far with eight phases.
+/// Squared distance over the number of coordinates of a cycle from the mean of those before it at which it begins anew: of 1e5 cycles that
+/// only noise and ordinary variation tell apart, one is as far with eight phases.
 const ANEW_FROM: f64 = 3.0;
 
 /// What the cycles since the last change come to.

@@ -1,8 +1,8 @@
 //! From samples to events: the one object that replayed and live data go through.
 //!
 //! No clock (time is the sample's), no input or output, and no allocation for a sample; at a cycle's end the fit of a leak's growth and
-//! the words of flags and notices allocate, and give back what they took (`tests/allocations.rs` counts). A [`Monitor`] for each of the axis's duty cycles
-//! reads every sample; where there are several, the arbiter says whose a cycle is.
+//! the words of flags and notices allocate, and give back what they took (`tests/allocations.rs` counts). A [`Monitor`] for each of the
+//! axis's duty cycles reads every sample; where there are several, the arbiter says whose a cycle is.
 
 mod arbiter;
 mod monitor;

@@ -2,8 +2,8 @@
 //! that a user whose cycles have no estimate hears what was seen.
 //!
 //! Means over 20 ms, and over four, sixteen … times as long, stand in rings of a fixed size, which together reach from half a minute
-//! back to more than an hour. The period is looked for only when somebody asks: as the lag at which a ring's values are most like themselves
-//! (normalised autocorrelation).
+//! back to more than an hour. The period is looked for only when somebody asks: as the lag at which a ring's values are most like
+//! themselves (normalised autocorrelation).
 
 use std::ops::Range;
 

@@ -14,8 +14,8 @@ use crate::repair::{Judgement, Repair, RepairKind, RepairVerdict, Repaired};
 const REMEMBERED: usize = 200;
 
 impl Pipeline {
-    /// Heeds an entry of the repair log from the next cycle on. `false` where cycles do not count anew for it: it was heeded before, or lies
-    /// before the end of the baseline.
+    /// Heeds an entry of the repair log from the next cycle on. `false` where cycles do not count anew for it: it was heeded before, or
+    /// lies before the end of the baseline.
     pub fn repaired(&mut self, repair: &Repair, sink: &mut impl FnMut(&Event<'_>)) -> bool {
         if self.progress.repairs.iter().any(|known| known.repair.is_same(repair)) {
             return false;

@@ -2,8 +2,8 @@
 //! Biometrika 41 (1954)) for each number of the baseline, up and down.
 //!
 //! `S = max(0, S + z − k)`, `z = (x − mean)/σ` within ± 6, so that no single cycle decides. σ is the long-run standard deviation of the
-//! baseline's cycles, `s · √((1 + ρ)/(1 − ρ))` with their correlation ρ from one to the next; s and ρ are as large as n cycles admit them to be.
-//! The allowance `k = 0.5 + 3.5/√n` has room for what the mean of n cycles may be off. A change is told at `h`, of which Siegmund's
+//! baseline's cycles, `s · √((1 + ρ)/(1 − ρ))` with their correlation ρ from one to the next; s and ρ are as large as n cycles admit them
+//! to be. The allowance `k = 0.5 + 3.5/√n` has room for what the mean of n cycles may be off. A change is told at `h`, of which Siegmund's
 //! formula says how many cycles lie between two false alarms of one sum: `2 (e^b − b − 1)`, `b = h + 1.166`, as if half a standard
 //! deviation were the whole allowance. h is that of one false alarm a year, of all sums together, at the machine's cycle time.
 

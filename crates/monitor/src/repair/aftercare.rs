@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::{Repair, RepairKind, RepairVerdict};
 use crate::cause::condition::{size_of, words_of};
 
-/// Cycles with an estimate after which the data have their say: the mean of so many has a third of one cycle's noise, and the CUSUM finds what
-/// is to be seen in fewer.
+/// Cycles with an estimate after which the data have their say: the mean of so many has a third of one cycle's noise, and the CUSUM finds
+/// what is to be seen in fewer.
 pub const JUDGED_AFTER: u32 = 12;
 /// From this probability on a cause counts as seen: one of two that look alike does.
 const SEEN_FROM: f64 = 0.3;
