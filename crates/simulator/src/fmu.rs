@@ -171,7 +171,11 @@ pub fn serve() -> std::io::Result<()> {
     let _ = confined(&hosted.folder);
     let mut model = match HostedFmu::new(&hosted) {
         Ok(model) => model,
-        Err(error) => return writeln!(answers, "{}", json!({ "error": error.to_string() })),
+        Err(error) => {
+            let told = error.to_string();
+            let advice = advice(&told);
+            return writeln!(answers, "{}", json!({ "error": told + advice }));
+        }
     };
     writeln!(answers, "{}", json!({}))?;
     for line in lines {
@@ -184,6 +188,16 @@ pub fn serve() -> std::io::Result<()> {
         answers.write_all(text.as_bytes())?;
     }
     Ok(())
+}
+
+/// What to do about a library that cannot be loaded, where that is known: models made of Python have its symbols, and not its library.
+fn advice(error: &str) -> &'static str {
+    let is_python = error.split_once("undefined symbol: ").is_some_and(|(_, symbol)| symbol.contains("Py"));
+    if is_python {
+        "; name Python's library: fmu.preload = [\"libpython3.11.so.1.0\"], or as it is here"
+    } else {
+        ""
+    }
 }
 
 /// From here on this process writes in that folder alone and opens no connection.
