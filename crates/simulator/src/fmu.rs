@@ -194,7 +194,7 @@ pub fn serve() -> std::io::Result<()> {
 fn advice(error: &str) -> &'static str {
     let is_python = error.split_once("undefined symbol: ").is_some_and(|(_, symbol)| symbol.contains("Py"));
     if is_python {
-        "; name Python's library: fmu.preload = [\"libpython3.11.so.1.0\"], or as it is here"
+        "; name Python's library: fmu.preload = [\"libpython3.11.so.1.0\"] for Python 3.11"
     } else {
         ""
     }
