@@ -1,5 +1,7 @@
 //! What an FMU has, and the plant file that would map it: by causality and unit first, then by what names are usually for.
 
+use std::collections::BTreeSet;
+
 use seepd_fmi::{Causality, ModelDescription, Variable};
 use seepd_signals::Signal;
 
@@ -124,8 +126,12 @@ pub fn plant_file(file: &str, description: &ModelDescription) -> String {
     text += &table("inputs", &inputs);
     text += &table("outputs", &outputs);
     text += "\n# What calibration may change: leave out what is known. Without bounds: a quarter to four times the start.\n[parameters]\n";
+    let mut proposed = BTreeSet::new();
     for variable in &description.variables {
-        text += &parameter(variable);
+        // Names are unique in a good description; in a bad one a table may have each once all the same.
+        if proposed.insert(variable.name.as_str()) {
+            text += &parameter(variable);
+        }
     }
     if !inside {
         text +=
@@ -199,6 +205,8 @@ mod tests {
             variable("cyl.s", 4, "output", "m"),
             variable("cyl.pA", 5, "output", "bar"),
             variable("cyl.pB", 6, "output", "bar"),
+            "<Float64 name=\"mass\" valueReference=\"7\" causality=\"parameter\" start=\"1\"/>".to_owned(),
+            "<Float64 name=\"mass\" valueReference=\"8\" causality=\"parameter\" start=\"2\"/>".to_owned(),
         ];
         let text = format!(
             "<fmiModelDescription fmiVersion=\"3.0\" modelName=\"m\" instantiationToken=\"t\"><UnitDefinitions>\
