@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::ops::RangeInclusive;
 
+use seepd_settings::words;
 use seepd_signals::Signal;
 use serde::Serialize;
 
@@ -64,26 +65,8 @@ const OTHER_QUANTITIES: [&str; 14] = [
     "counter",
 ];
 
-/// Shorter words are looked for at the beginning of a part alone: `p_1` is in `temp_1`, `cap` in `escape`.
+/// Shorter words are looked for at the beginning of a name's word alone: `p_1` is in `temp_1`, `cap` in `escape`.
 const LONG_ENOUGH: usize = 5;
-
-/// The parts of a name in small letters, between other characters and at large letters, each with where it begins.
-fn parts(path: &str) -> Vec<(usize, String)> {
-    let mut parts: Vec<(usize, String)> = Vec::new();
-    let mut before = ' ';
-    for (at, letter) in path.char_indices() {
-        if letter.is_ascii_alphanumeric() {
-            let begins = !before.is_ascii_alphanumeric()
-                || (letter.is_ascii_uppercase() && before.is_ascii_lowercase());
-            match parts.last_mut() {
-                Some((_, part)) if !begins => part.push(letter.to_ascii_lowercase()),
-                _ => parts.push((at, letter.to_ascii_lowercase().to_string())),
-            }
-        }
-        before = letter;
-    }
-    parts
-}
 
 /// Marks the fields with what they seem to be, and gives the mapping.
 pub(crate) fn guess(topics: &mut [TopicSurvey]) -> BTreeMap<Signal, Guess> {
@@ -114,7 +97,7 @@ fn guess_field(topic: &str, field: &FieldSurvey) -> Option<(Signal, i32, f64)> {
     if topic.ends_with("/truth") || field.least == field.largest {
         return None;
     }
-    let parts = parts(&field.path);
+    let parts = words(&field.path);
     if parts.iter().any(|(_, part)| OTHER_QUANTITIES.contains(&part.as_str())) {
         return None;
     }

@@ -72,6 +72,24 @@ impl fmt::Display for UnknownKey {
 
 impl std::error::Error for UnknownKey {}
 
+/// The words of a name in small letters, between other characters and at large letters, each with the byte at which it begins: `cylPos_mm` is
+/// cyl, pos and mm.
+pub fn words(name: &str) -> Vec<(usize, String)> {
+    let mut words: Vec<(usize, String)> = Vec::new();
+    let mut before = ' ';
+    for (at, letter) in name.char_indices() {
+        if letter.is_alphanumeric() {
+            let begins = !before.is_alphanumeric() || (letter.is_uppercase() && before.is_lowercase());
+            match words.last_mut() {
+                Some((_, word)) if !begins => word.extend(letter.to_lowercase()),
+                _ => words.push((at, letter.to_lowercase().collect())),
+            }
+        }
+        before = letter;
+    }
+    words
+}
+
 /// Reads a TOML text; an unknown key is answered with the nearest known one.
 ///
 /// # Errors
@@ -169,6 +187,14 @@ mod tests {
         valve_gain: f64,
         #[serde(default)]
         mass_kg: f64,
+    }
+
+    #[test]
+    fn names_are_words_whatever_divides_them() {
+        let of = |name: &str| words(name).into_iter().map(|(_, word)| word).collect::<Vec<_>>();
+        assert_eq!(of("cylPos_mm"), ["cyl", "pos", "mm"]);
+        assert_eq!(words("Öl.Druck A"), [(0, "öl".into()), (4, "druck".into()), (10, "a".into())]);
+        assert!(of("-_").is_empty());
     }
 
     #[test]

@@ -10,11 +10,11 @@ use crate::spec::{FmuVariable, SimulatorSpec, VELOCITY};
 /// Exponents of kg, m, s, A, K, mol, cd and rad, by which kinds of quantity are told apart.
 pub(crate) type Dimension = [i32; 8];
 
-pub(crate) const LENGTH: Dimension = [0, 1, 0, 0, 0, 0, 0, 0];
-pub(crate) const SPEED: Dimension = [0, 1, -1, 0, 0, 0, 0, 0];
-pub(crate) const FORCE: Dimension = [1, 1, -2, 0, 0, 0, 0, 0];
+const LENGTH: Dimension = [0, 1, 0, 0, 0, 0, 0, 0];
+const SPEED: Dimension = [0, 1, -1, 0, 0, 0, 0, 0];
+const FORCE: Dimension = [1, 1, -2, 0, 0, 0, 0, 0];
 pub(crate) const PRESSURE: Dimension = [1, -1, -2, 0, 0, 0, 0, 0];
-pub(crate) const SHARE: Dimension = [0; 8];
+const SHARE: Dimension = [0; 8];
 const TIME: Dimension = [0, 0, 1, 0, 0, 0, 0, 0];
 
 /// Why a plant file does not fit an FMU.
@@ -169,7 +169,7 @@ pub(crate) fn remarks(spec: &SimulatorSpec, description: &ModelDescription) -> V
 }
 
 /// The kind of quantity that one of our names is, and its unit.
-fn quantity(name: &str) -> (Dimension, &'static str) {
+pub(crate) fn quantity(name: &str) -> (Dimension, &'static str) {
     match name {
         VELOCITY => (SPEED, "m/s"),
         "start_position" => (LENGTH, "m"),

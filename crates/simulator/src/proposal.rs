@@ -3,9 +3,10 @@
 use std::collections::BTreeSet;
 
 use seepd_fmi::{Causality, ModelDescription, Variable};
+use seepd_settings::words;
 use seepd_signals::Signal;
 
-use crate::mapping::{Dimension, FORCE, LENGTH, PRESSURE, SHARE, SPEED};
+use crate::mapping::{PRESSURE, quantity};
 use crate::spec::VELOCITY;
 
 /// Parts of names by which two of the same unit are told apart; compared without case, as whole words between other letters.
@@ -29,28 +30,11 @@ enum Guess<'d> {
 
 /// Whether a name has one of the parts as a word: letters and digits between other characters, or between small and large letters.
 fn is_named(name: &str, parts: &[&str]) -> bool {
-    let mut words = vec![String::new()];
-    let mut before = ' ';
-    for letter in name.chars() {
-        if !letter.is_alphanumeric() || (letter.is_uppercase() && before.is_lowercase()) {
-            words.push(String::new());
-        }
-        if letter.is_alphanumeric()
-            && let Some(word) = words.last_mut()
-        {
-            word.extend(letter.to_lowercase());
-        }
-        before = letter;
-    }
-    words.iter().any(|word| parts.contains(&word.as_str()))
+    words(name).iter().any(|(_, word)| parts.contains(&word.as_str()))
 }
 
-fn guess<'d>(
-    description: &'d ModelDescription,
-    name: &str,
-    causality: Causality,
-    unit: Dimension,
-) -> Option<Guess<'d>> {
+fn guess<'d>(description: &'d ModelDescription, name: &str, causality: Causality) -> Option<Guess<'d>> {
+    let (unit, _) = quantity(name);
     let parts = NAMES.iter().find(|(ours, _)| *ours == name).map_or(&[][..], |(_, parts)| parts);
     let of_kind = description.variables.iter().filter(|variable| variable.causality == causality);
     let mut among: Vec<&Variable> = of_kind
@@ -98,24 +82,24 @@ pub fn overview(description: &ModelDescription) -> String {
 
 /// A plant file for the model, where it is named so. What cannot be told stands in it as a comment with the variables that it may be.
 pub fn plant_file(file: &str, description: &ModelDescription) -> String {
-    let of = |name: &str, causality, unit| guess(description, name, causality, unit);
-    let demand = of("demand", Causality::Input, LENGTH);
+    let of = |name: &str, causality| guess(description, name, causality);
+    let demand = of("demand", Causality::Input);
     // A model that takes a position takes the demand, and has its controller inside.
     let reference = match demand {
         Some(guess) => ("demand", Some(guess)),
-        None => ("command", of("command", Causality::Input, SHARE)),
+        None => ("command", of("command", Causality::Input)),
     };
     let inside = reference.0 == "demand";
-    let inputs = [reference, ("load", of("load", Causality::Input, FORCE))];
+    let inputs = [reference, ("load", of("load", Causality::Input))];
     let mut outputs = vec![
-        (Signal::Position.name(), of("position", Causality::Output, LENGTH)),
-        (VELOCITY, of(VELOCITY, Causality::Output, SPEED)),
+        (Signal::Position.name(), of("position", Causality::Output)),
+        (VELOCITY, of(VELOCITY, Causality::Output)),
     ];
     if inside {
-        outputs.insert(0, (Signal::Command.name(), of("command", Causality::Output, SHARE)));
+        outputs.insert(0, (Signal::Command.name(), of("command", Causality::Output)));
     }
     for signal in [Signal::PCap, Signal::PRod, Signal::PSupply, Signal::PInlet] {
-        outputs.push((signal.name(), of(signal.name(), Causality::Output, PRESSURE)));
+        outputs.push((signal.name(), of(signal.name(), Causality::Output)));
     }
     let mut text = format!(
         "# Proposed from the model's description: check it, and fill in what is yours.\nkind = \"simulator\"\n{}\

@@ -1,6 +1,7 @@
 //! What the name of a field says, in the languages and abbreviations of machine builders: weak evidence, which physics overrules.
 
 use seepd_logs::columns::Column;
+use seepd_settings::words;
 use seepd_signals::Signal;
 
 /// What a field is, by its name.
@@ -311,21 +312,7 @@ fn is_of(word: &str, known: &[&str]) -> bool {
 /// `cylPos_mm` → cyl, pos, mm; what is in brackets is a unit and no word.
 fn words_of(name: &str) -> Vec<String> {
     let name = name.split(['[', '(']).next().filter(|before| !before.trim().is_empty()).unwrap_or(name);
-    let mut words = vec![String::new()];
-    let mut before = ' ';
-    for c in name.chars() {
-        let divides = !c.is_alphanumeric();
-        let begins = divides || (c.is_uppercase() && before.is_lowercase());
-        if begins && words.last().is_some_and(|word| !word.is_empty()) {
-            words.push(String::new());
-        }
-        if let Some(word) = words.last_mut().filter(|_| !divides) {
-            word.extend(c.to_lowercase());
-        }
-        before = c;
-    }
-    words.retain(|word| !word.is_empty());
-    words
+    words(name).into_iter().map(|(_, word)| word).collect()
 }
 
 #[cfg(test)]
