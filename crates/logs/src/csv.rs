@@ -9,11 +9,11 @@ use super::Source;
 use super::rows::{Row, RowError};
 use super::table::{Table, number};
 use super::table_time::{TablePlace, TableTime};
-use crate::error::LogError;
+use crate::error::{LogError, listed};
 use crate::mapping::{LogMapping, ToSi};
 
 /// Columns that an error lists.
-const COLUMNS_TOLD: usize = 32;
+pub(crate) const COLUMNS_TOLD: usize = 32;
 /// Samples of a log's beginning that tell whether its stamps are coarser than its rows.
 const BEGINNING: usize = 16;
 /// Of these, how many have the stamp of the row before where they are.
@@ -85,7 +85,7 @@ impl<R: Read> CsvSource<R> {
             let named = if table.has_names { "there are" } else { "its columns have no names but numbers" };
             return Err(LogError::data(
                 name,
-                format!("no column {what}; {named}: {}", listed(&table.columns)),
+                format!("no column {what}; {named}: {}", listed(&table.columns, COLUMNS_TOLD)),
             ));
         };
         Ok(CsvSource {
@@ -196,15 +196,6 @@ fn value_of(row: &Row, index: usize) -> Result<f64, RowError> {
     }
     let text = std::str::from_utf8(field).map_err(|_| RowError::NotText { number: index + 1 })?;
     number(field).ok_or_else(|| RowError::not_a_number(text))
-}
-
-/// The columns' names, as many as one line holds.
-pub(crate) fn listed(headers: &[String]) -> String {
-    let mut text = headers.iter().take(COLUMNS_TOLD).map(String::as_str).collect::<Vec<_>>().join(", ");
-    if headers.len() > COLUMNS_TOLD {
-        text += &format!(" and {} more", headers.len() - COLUMNS_TOLD);
-    }
-    text
 }
 
 impl<R: Read> Source for CsvSource<R> {

@@ -58,3 +58,12 @@ impl LogError {
         LogError::Mapping { what: what.into() }
     }
 }
+
+/// The first of some names for a message of one line, and how many more there are.
+pub(crate) fn listed(names: &[impl AsRef<str>], told: usize) -> String {
+    let first = names.iter().take(told).map(AsRef::as_ref).collect::<Vec<&str>>().join(", ");
+    match names.len().saturating_sub(told) {
+        0 => first,
+        more => format!("{first} and {more} more"),
+    }
+}

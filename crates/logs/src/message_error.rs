@@ -50,7 +50,7 @@ pub(crate) enum Misfit {
         /// Second byte of the message.
         code: u8,
     },
-    /// Arrays of messages without fields, which take no bytes, would be walked without end.
+    /// Arrays of messages of empty arrays, which take no bytes, would be walked without end.
     #[error("it has far more fields than bytes")]
     Endless,
     /// Messages lie in messages without end, or as good as that.

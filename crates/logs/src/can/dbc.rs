@@ -13,7 +13,7 @@ use super::bit_field::{BitField, BitFieldError, ByteOrder, Encoding};
 use super::dbc_error::{LookUpError, PlaceError};
 use super::j1939::{FrameChoice, NULL_ADDRESS, SourceAddress};
 use super::{Content, Frame, Identifier};
-use crate::error::LogError;
+use crate::error::{LogError, listed};
 
 /// A signal of a frame.
 #[derive(Debug, Clone, PartialEq)]
@@ -113,6 +113,9 @@ const XML: &str = "this is an XML file, perhaps KCD or ARXML, and DBC files are 
 
 /// Levels of multiplexers within multiplexers that are followed.
 pub(super) const DEEPEST_MULTIPLEX: usize = 64;
+
+/// Signals that a message names.
+const SIGNALS_TOLD: usize = 8;
 
 impl Dbc {
     /// Reads a file.
@@ -269,7 +272,7 @@ impl Dbc {
         match near {
             Some(near) => LookUpError::Misspelt { name, near },
             None if full.is_empty() => LookUpError::NoSignals { name },
-            None => LookUpError::Unknown { name, listed: listed(&full) },
+            None => LookUpError::Unknown { name, listed: listed(&full, SIGNALS_TOLD) },
         }
     }
 
@@ -376,16 +379,6 @@ impl Dbc {
             attribute.message_id == message.id && attribute.name == "SystemMessageLongSymbol"
         });
         text_of(long.map(|attribute| &attribute.value)).unwrap_or(&message.name).to_owned()
-    }
-}
-
-/// The first of some names, and how many more there are.
-fn listed(names: &[String]) -> String {
-    const TOLD: usize = 8;
-    let first = names.iter().take(TOLD).map(String::as_str).collect::<Vec<_>>().join(", ");
-    match names.len().saturating_sub(TOLD) {
-        0 => first,
-        more => format!("{first} and {more} more"),
     }
 }
 

@@ -4,7 +4,8 @@ use std::io::Read;
 use std::path::Path;
 
 use super::Known;
-use crate::error::LogError;
+use crate::csv::COLUMNS_TOLD;
+use crate::error::{LogError, listed};
 use crate::mapping::TimeUnit;
 use crate::opened::Opened;
 use crate::source::log_name;
@@ -75,7 +76,7 @@ impl TimeColumn {
             let head = head.ok_or_else(|| {
                 LogError::data(
                     name,
-                    format!("no column `{column}` for the time; there are: {}", listed(&heads)),
+                    format!("no column `{column}` for the time; there are: {}", listed_heads(&heads)),
                 )
             })?;
             return Ok(head.as_time(known.time_unit).unwrap_or_else(|| head.taken_as_told(known.time_unit)));
@@ -89,7 +90,7 @@ impl TimeColumn {
                 format!(
                     "none of its columns is a time: a clock's name or steady steps are looked for; \
                      name the time column, or add one; there are: {}",
-                    listed(&heads)
+                    listed_heads(&heads)
                 ),
             )
         })
@@ -239,11 +240,9 @@ fn heads(input: impl Read, name: &str) -> Result<Vec<Head>, LogError> {
     Ok(heads)
 }
 
-fn listed(heads: &[Head]) -> String {
-    const TOLD: usize = 32;
-    let names: Vec<&str> = heads.iter().take(TOLD).map(|head| head.name.as_str()).collect();
-    let more = heads.len().saturating_sub(TOLD);
-    names.join(", ") + &if more > 0 { format!(" and {more} more") } else { String::new() }
+fn listed_heads(heads: &[Head]) -> String {
+    let names: Vec<&str> = heads.iter().map(|head| head.name.as_str()).collect();
+    listed(&names, COLUMNS_TOLD)
 }
 
 #[cfg(test)]

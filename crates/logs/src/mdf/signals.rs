@@ -7,7 +7,8 @@ use seepd_signals::{Sample, Signal};
 
 use super::records::Records;
 use super::{CONVERT, Channel, MdfFile};
-use crate::error::LogError;
+use crate::csv::COLUMNS_TOLD;
+use crate::error::{LogError, listed};
 use crate::mapping::{SignalMapping, ToSi};
 use crate::source::Source;
 
@@ -156,10 +157,7 @@ impl MdfFile<'_> {
             None if self.has_frames() => {
                 "it has the frames of a bus: name the DBC file that describes them (dbc, --dbc FILE)".into()
             }
-            None => format!(
-                "it has {}",
-                crate::csv::listed(&names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>())
-            ),
+            None => format!("it has {}", listed(&names, COLUMNS_TOLD)),
         };
         let group =
             if place.topic.is_empty() { String::new() } else { format!(" in the group `{}`", place.topic) };
