@@ -86,12 +86,24 @@ pub fn platform() -> String {
 /// # Errors
 /// [`FmuError`] for an FMU that `gap` would refuse.
 pub fn check(spec: &SimulatorSpec, file: &Path) -> Result<Vec<String>, FmuError> {
-    let opened = File::open(file).map_err(|error| FmuError::File { file: file.to_owned(), error })?;
-    let archive = |error| FmuError::Archive { file: file.to_owned(), error };
-    let fmu = Fmu::read(opened).map_err(archive)?;
-    fmu.binary(&platform()).map_err(archive)?;
+    let (fmu, _) = read(file)?;
     FmuMapping::new(spec, &fmu.description)?;
     Ok(remarks(spec, &fmu.description))
+}
+
+fn open(file: &Path) -> Result<File, FmuError> {
+    File::open(file).map_err(|error| FmuError::File { file: file.to_owned(), error })
+}
+
+fn in_archive(file: &Path, error: seepd_fmi::FmuError) -> FmuError {
+    FmuError::Archive { file: file.to_owned(), error }
+}
+
+/// What an FMU says of itself, and the place in it of its library for this machine.
+fn read(file: &Path) -> Result<(Fmu, PathBuf), FmuError> {
+    let fmu = Fmu::read(open(file)?).map_err(|error| in_archive(file, error))?;
+    let library = fmu.binary(&platform()).map_err(|error| in_archive(file, error))?.into();
+    Ok((fmu, library))
 }
 
 /// An FMU in a folder of its own, which goes when this does.
@@ -105,12 +117,9 @@ pub(crate) struct UnpackedFmu {
 impl UnpackedFmu {
     /// Reads and unpacks an FMU; nothing of it is loaded.
     pub(crate) fn new(file: &Path, host: &[String]) -> Result<Self, FmuError> {
-        let opened = || File::open(file).map_err(|error| FmuError::File { file: file.to_owned(), error });
-        let archive = |error| FmuError::Archive { file: file.to_owned(), error };
-        let fmu = Fmu::read(opened()?).map_err(archive)?;
-        let library = fmu.binary(&platform()).map_err(archive)?;
+        let (_, library) = read(file)?;
         let folder = tempfile::Builder::new().prefix("seepd-fmu-").tempdir().map_err(FmuError::Place)?;
-        Fmu::unpack(opened()?, folder.path()).map_err(archive)?;
+        Fmu::unpack(open(file)?, folder.path()).map_err(|error| in_archive(file, error))?;
         Ok(UnpackedFmu { library: folder.path().join(library), host: host.to_vec(), folder })
     }
 
@@ -172,9 +181,8 @@ pub fn serve() -> std::io::Result<()> {
     let mut model = match HostedFmu::new(&hosted) {
         Ok(model) => model,
         Err(error) => {
-            let told = error.to_string();
-            let advice = advice(&told);
-            return writeln!(answers, "{}", json!({ "error": told + advice }));
+            let told = format!("{error}{}", advice(&error));
+            return writeln!(answers, "{}", json!({ "error": told }));
         }
     };
     writeln!(answers, "{}", json!({}))?;
@@ -191,8 +199,9 @@ pub fn serve() -> std::io::Result<()> {
 }
 
 /// What to do about a library that cannot be loaded, where that is known: models made of Python have its symbols, and not its library.
-fn advice(error: &str) -> &'static str {
-    let is_python = error.split_once("undefined symbol: ").is_some_and(|(_, symbol)| symbol.contains("Py"));
+fn advice(error: &FmuError) -> &'static str {
+    let FmuError::Instance(InstanceError::Load { reason, .. }) = error else { return "" };
+    let is_python = reason.split_once("undefined symbol: ").is_some_and(|(_, symbol)| symbol.contains("Py"));
     if is_python {
         "; name Python's library: fmu.preload = [\"libpython3.11.so.1.0\"] for Python 3.11"
     } else {

@@ -211,16 +211,14 @@ impl BaselineComparator {
         let beside = explained
             .as_ref()
             .and_then(|explained| self.beside(relative, cycle, explained, (&plain, load_change)));
-        let is_unlike = beside.is_none() && plain.out_of_distribution.score > 1.0;
+        let is_beyond_training = plain.out_of_distribution.score > 1.0;
+        let is_unlike = beside.is_none() && is_beyond_training;
         let estimate = beside.unwrap_or(plain);
         if !is_unlike {
             let counted =
                 explained.as_ref().map_or(1.0, |explained| cause::share_of_seal(&explained.explanation));
             let residual_m2 = counted * estimate.leak_residual_m2;
-            let limits = CusumLimits {
-                is_doubtful: plain.out_of_distribution.score > 1.0,
-                ..self.limits(relative, load_change.is_some())
-            };
+            let limits = self.limits(relative, load_change.is_some(), is_beyond_training);
             self.cusum.take(residual_m2, &limits);
             if self.cusum.cycles_since_onset() == 0 {
                 self.trend.clear();
@@ -234,7 +232,7 @@ impl BaselineComparator {
         Some(ComparedCycle { estimate, load, load_change, finding, sum, growth, explained, is_unlike })
     }
 
-    fn limits(&self, relative: &Relative, knows_load: bool) -> CusumLimits {
+    fn limits(&self, relative: &Relative, knows_load: bool, is_doubtful: bool) -> CusumLimits {
         let baseline = &self.baseline;
         let deviation_m2 = baseline
             .load_residual_deviation_m2
@@ -245,7 +243,7 @@ impl BaselineComparator {
             reference_m2: relative.kind(knows_load, &baseline.mean).reference_m2,
             deviation_m2,
             threshold: relative.file().detection.threshold,
-            is_doubtful: false,
+            is_doubtful,
         }
     }
 
