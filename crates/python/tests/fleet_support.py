@@ -14,13 +14,13 @@ from seepd.fleet.store import Store
 DAMAGED_EVERY = 9
 
 
-def small_logs(folder: Path, contents: int = 8) -> list[Path]:
-    """Logs of three cycles, each of another machine with another leak."""
+def small_logs(folder: Path, contents: int = 8, cycles: int = 3) -> list[Path]:
+    """Logs of few cycles, each of another machine with another leak."""
     made = []
     for index in range(contents):
         path = folder / f"content-{index}.mcap"
         leak = ["--leak-area", str(2e-8 * index), "--machine", str(index), "--parameter-spread", "0.03"]
-        run("simulate", "--out", path, "--cycles", "3", "--seed", str(index + 1), "--command-only", *leak)
+        run("simulate", "--out", path, "--cycles", str(cycles), "--seed", str(index + 1), "--command-only", *leak)
         made.append(path)
     return made
 

@@ -58,8 +58,8 @@ def _serve(pipe: Any, work: Work) -> None:
     while True:
         try:
             unit = pipe.recv()
-        except EOFError:
-            return
+        except (EOFError, OSError):
+            return  # Let go, perhaps before its first word was heard, which the system calls a reset.
         pipe.send(work(unit))
 
 
