@@ -439,6 +439,12 @@ impl<T: Real> Plant<T> {
         }
     }
 
+    /// Rates at a state under a load. No closure: only a function can be asked into the lanes' loop, whose instructions it must have.
+    #[inline(always)]
+    fn rates_at(&self, at: &State<T>, load: T, drive: &Drive<T>, acting: &ActingLaws<'_, T>) -> State<T> {
+        self.rates(&drive.moment(self, at, load), acting)
+    }
+
     /// One RK4 step of `dt` seconds under a held spool.
     #[inline(always)]
     pub(crate) fn rk4(
@@ -450,11 +456,10 @@ impl<T: Real> Plant<T> {
     ) -> State<T> {
         let half = dt * T::splat(0.5);
         let load_mid = (drive.load + drive.load_end) * T::splat(0.5);
-        let rates = |at: &State<T>, load: T| self.rates(&drive.moment(self, at, load), acting);
-        let k1 = rates(state, drive.load);
-        let k2 = rates(&state.advanced(&k1, half), load_mid);
-        let k3 = rates(&state.advanced(&k2, half), load_mid);
-        let k4 = rates(&state.advanced(&k3, dt), drive.load_end);
+        let k1 = self.rates_at(state, drive.load, drive, acting);
+        let k2 = self.rates_at(&state.advanced(&k1, half), load_mid, drive, acting);
+        let k3 = self.rates_at(&state.advanced(&k2, half), load_mid, drive, acting);
+        let k4 = self.rates_at(&state.advanced(&k3, dt), drive.load_end, drive, acting);
         let two = T::splat(2.0);
         let mean = State {
             p_s: k1.p_s + two * (k2.p_s + k3.p_s) + k4.p_s,
