@@ -10,6 +10,7 @@ mod support;
 mod demo_live;
 mod disk;
 mod duty_cycles;
+mod faults;
 mod hostile_logs;
 mod live;
 mod network;

@@ -41,7 +41,7 @@ use crate::sink::recording::Recorder;
 use axis::AxisContext;
 pub use sinks::check_sinks;
 use sinks::{RunningSink, SinkConfig, check_sink, sink_configs};
-use source::LiveSource;
+use source::{LiveSource, is_stream};
 use stamps::{Stamps, axis_files, stamps};
 use state::{Drawn, Keeper, Trends, read_events, read_trends, write_events, write_trends};
 use systemd::{Watchdog, one_line, tell};
@@ -373,6 +373,7 @@ impl Daemon {
         let mut ready = Vec::new();
         for axis in axes {
             if !self.axes.iter().any(|running| same(running, axis)) {
+                self.refuse_second_reader(path, axis)?;
                 ready.push(self.prepare(axis)?);
             }
         }
@@ -406,6 +407,22 @@ impl Daemon {
         self.watch_axes();
         remark(&config);
         Ok(())
+    }
+
+    /// An axis that reads a pipe cannot be changed: its reader waits within the system until something comes, and would take the
+    /// beginning from the next one.
+    fn refuse_second_reader(&self, path: &Path, axis: &AxisConfig) -> Result<(), Failure> {
+        let Some(log) = axis.source.log.as_deref().filter(|log| is_stream(log)) else { return Ok(()) };
+        let reads_it = |running: &RunningAxis| running.config.source.log.as_deref() == Some(log);
+        if !self.axes.iter().any(|running| reads_it(running) && !running.task.is_finished()) {
+            return Ok(());
+        }
+        let what = format!(
+            "axis {} reads {}, a pipe, which cannot be read from its beginning again; restart the daemon to change the axis",
+            axis.axis,
+            log.display()
+        );
+        Err(Failure::configuration(path, what))
     }
 
     /// Ends axes, writes the state, ends sinks: in this order, so that the last events still go out.

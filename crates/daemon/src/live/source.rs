@@ -99,13 +99,16 @@ pub(super) struct PlayedLog {
     ended: Option<Option<String>>,
 }
 
+/// Whether a log is a pipe, a terminal or the like: what one reader has read no other reads again.
+pub(super) fn is_stream(path: &Path) -> bool {
+    path == Path::new("-") || std::fs::metadata(path).is_ok_and(|facts| !facts.is_file() && !facts.is_dir())
+}
+
 impl PlayedLog {
     fn open(path: &Path, config: &AxisConfig, clock: Clock) -> Result<Self, Failure> {
         // A file says at once whether it can be read. A pipe or a terminal may let one wait for its first byte: its thread waits.
-        let waits = path == Path::new("-")
-            || std::fs::metadata(path).is_ok_and(|facts| !facts.is_file() && !facts.is_dir());
         let mapping = config.log_mapping();
-        let opened = if waits { None } else { Some(open(path, &mapping)?) };
+        let opened = if is_stream(path) { None } else { Some(open(path, &mapping)?) };
         let place = path.to_owned();
         let open_now = move || opened.map_or_else(|| open(&place, &mapping), Ok);
         let speed = (config.source.pace == Pace::Recorded).then_some(1.0);
