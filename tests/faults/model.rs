@@ -52,8 +52,12 @@ enum Fault {
     Kill,
     Restart,
     Acknowledge,
-    /// A recording begins or ends; the axis goes on.
-    Reload,
+    /// A recording begins or ends, or the broker is spoken to in the other version, while cycles come; the axis goes on.
+    Reload {
+        records: bool,
+        version: usize,
+        leak: usize,
+    },
     BrokenReload(usize),
     BrokerGoes,
     BrokerComes,
@@ -66,13 +70,16 @@ fn faults() -> impl Strategy<Value = Vec<Fault>> {
         1 => Just(Fault::Kill),
         1 => Just(Fault::Restart),
         2 => Just(Fault::Acknowledge),
-        1 => Just(Fault::Reload),
+        2 => (any::<bool>(), 0..VERSIONS.len(), 0..LEAKS_M2.len())
+            .prop_map(|(records, version, leak)| Fault::Reload { records, version, leak }),
         1 => (0..BROKEN.len()).prop_map(Fault::BrokenReload),
         1 => Just(Fault::BrokerGoes),
         1 => Just(Fault::BrokerComes),
     ];
     prop::collection::vec(fault, 4..14)
 }
+
+const VERSIONS: [&str; 2] = ["3.1.1", "5"];
 
 /// Configurations that must not come into force.
 const BROKEN: [&str; 5] = [
@@ -200,6 +207,7 @@ struct Plant {
     broker_port: u16,
     broker: Option<(Mosquitto, Listener)>,
     records: bool,
+    version: usize,
     runs: Vec<Run>,
     /// Samples sent by all runs.
     time_ms: u64,
@@ -215,6 +223,7 @@ impl Plant {
             broker_port: free_port(),
             broker: None,
             records: false,
+            version: 0,
             runs: Vec::new(),
             time_ms: 0,
         };
@@ -230,9 +239,10 @@ impl Plant {
         format!(
             "axis = \"press-1\"\nstate_dir = \"state\"\n[source]\nlog = \"commands.csv\"\npace = \"fast\"\nstale_after_s = 3600.0\n\
              [alarm]\nraise_cycles = {RAISE_CYCLES}\nclear_cycles = {CLEAR_CYCLES}\nlost_cycles = {LOST_CYCLES}\n\
-             [http]\nlisten = \"127.0.0.1:{}\"\n[mqtt]\nhost = \"127.0.0.1\"\nport = {}\n{}",
+             [http]\nlisten = \"127.0.0.1:{}\"\n[mqtt]\nhost = \"127.0.0.1\"\nport = {}\nversion = \"{}\"\n{}",
             self.http_port,
             self.broker_port,
+            VERSIONS[self.version],
             if self.records { "[recording]\n" } else { "" }
         )
     }
@@ -345,9 +355,11 @@ impl Plant {
                 thread::sleep(Duration::from_millis(100));
                 self.settle();
             }
-            Fault::Reload => {
-                self.records = !self.records;
+            Fault::Reload { records, version, leak } => {
+                (self.records, self.version) = (records, version);
+                assert!(self.send(2 * CYCLE, leak));
                 self.reload(&self.config(), "the changed configuration is in force");
+                self.settle();
             }
             Fault::BrokenReload(which) => {
                 let broken = self.config();

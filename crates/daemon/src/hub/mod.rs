@@ -8,6 +8,7 @@ mod status;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use seepd_monitor::event::{Event, Flag, FlagEvent};
 use serde::Serialize;
@@ -41,6 +42,8 @@ struct Inner {
     axes: BTreeMap<String, KnownAxis>,
     sinks: BTreeMap<String, SinkStatus>,
     subscribers: Vec<Subscriber>,
+    /// Subscriptions whose holder is being replaced.
+    parked: BTreeMap<String, Subscription>,
     /// Each as it was sent, JSON.
     history: VecDeque<Arc<str>>,
     published: u64,
@@ -153,10 +156,51 @@ impl Hub {
 
     /// Every event from now on; those that find so many before them are lost and counted.
     pub fn subscribe(&self, most: usize) -> Subscription {
+        self.subscribe_as(most, |_| None)
+    }
+
+    /// The same for one that puts each event where it outlives the program, and says so by [`Subscription::has_kept_one`]. Where one
+    /// of this name has parked its subscription, the new one begins with the first event that the other has not heard.
+    pub fn subscribe_to_keep(&self, name: &str, most: usize) -> Subscription {
+        let parked = self.lock().parked.remove(name);
+        parked.unwrap_or_else(|| self.subscribe_as(most, |kept| Some((0, kept))))
+    }
+
+    /// Leaves a subscription to the next of its name, whom a reload is about to start.
+    pub fn park(&self, name: &str, subscription: Subscription) {
+        self.lock().parked.insert(name.to_owned(), subscription);
+    }
+
+    /// Ends the subscriptions that nobody has taken up.
+    pub fn end_parked(&self) {
+        let parked = std::mem::take(&mut self.lock().parked);
+        drop(parked);
+    }
+
+    fn subscribe_as(
+        &self,
+        most: usize,
+        keeps: impl FnOnce(watch::Receiver<u64>) -> Option<(u64, watch::Receiver<u64>)>,
+    ) -> Subscription {
         let (sender, events) = mpsc::channel(most);
         let lost = Arc::new(AtomicU64::new(0));
-        self.lock().subscribers.push(Subscriber { events: sender, lost: Arc::clone(&lost) });
-        Subscription { events, lost }
+        let kept = watch::Sender::new(0);
+        let keeps = keeps(kept.subscribe());
+        self.lock().subscribers.push(Subscriber { events: sender, lost: Arc::clone(&lost), keeps });
+        Subscription { events, lost, kept }
+    }
+
+    /// Waits until everything that has been published is kept by those who keep events, but no longer than so long.
+    pub async fn all_kept(&self, limit: Duration) {
+        let keeping: Vec<_> =
+            self.lock().subscribers.iter().filter_map(|subscriber| subscriber.keeps.clone()).collect();
+        let all = async {
+            for (handed, mut kept) in keeping {
+                // An error says that this one has ended and keeps no more.
+                let _ = kept.wait_for(|kept| *kept >= handed).await;
+            }
+        };
+        let _ = tokio::time::timeout(limit, all).await;
     }
 
     /// The last events that are no cycles, oldest first, as they were sent: JSON.
@@ -208,7 +252,7 @@ impl Hub {
         let json = serde_json::to_string(&envelope).unwrap_or_default();
         let event_json = serde_json::to_string(event).unwrap_or_default();
         let publication = Arc::new(Publication { kind, axis: axis.to_owned(), t_ns, json, event_json });
-        inner.subscribers.retain(|subscriber| subscriber.hand(&publication));
+        inner.subscribers.retain_mut(|subscriber| subscriber.hand(&publication));
         if kind != Kind::Cycle {
             inner.remember(&publication.json);
         }
@@ -226,6 +270,8 @@ impl Inner {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Instant;
+
     use super::*;
 
     #[test]
@@ -241,6 +287,42 @@ mod tests {
         assert_eq!(slow.try_recv().map(|event| event.t_ns), Some(5));
         drop(slow);
         hub.publish_test("press", 6);
+        assert!(hub.lock().subscribers.is_empty());
+    }
+
+    #[tokio::test]
+    async fn what_is_kept_is_waited_for_and_not_for_ever() {
+        let hub = Hub::new("test".into());
+        let (for_ever, a_while) = (Duration::from_secs(3600), Duration::from_millis(50));
+        hub.publish_test("press", 0);
+        // Nobody keeps anything, and who only listens is not waited for.
+        let _listener = hub.subscribe(8);
+        let mut keeper = hub.subscribe_to_keep("mqtt", 8);
+        hub.publish_test("press", 1);
+        keeper.recv().await.unwrap();
+        keeper.has_kept_one();
+        hub.all_kept(for_ever).await;
+        // One that does not get on with it costs the limit, one that has ended nothing.
+        hub.publish_test("press", 2);
+        let begin = Instant::now();
+        hub.all_kept(a_while).await;
+        assert!(begin.elapsed() >= a_while);
+        drop(keeper);
+        hub.all_kept(for_ever).await;
+    }
+
+    #[test]
+    fn one_that_is_replaced_leaves_what_it_has_not_heard_to_the_next() {
+        let hub = Hub::new("test".into());
+        let first = hub.subscribe_to_keep("mqtt", 8);
+        hub.park("mqtt", first);
+        hub.publish_test("press", 1);
+        let mut second = hub.subscribe_to_keep("mqtt", 8);
+        hub.publish_test("press", 2);
+        assert_eq!([second.try_recv(), second.try_recv()].map(|event| event.unwrap().t_ns), [1, 2]);
+        hub.park("mqtt", second);
+        hub.end_parked();
+        hub.publish_test("press", 3);
         assert!(hub.lock().subscribers.is_empty());
     }
 

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use seepd_monitor::event::Flag;
 use serde::Serialize;
-use tokio::sync::mpsc;
 use tokio::sync::mpsc::error::TrySendError;
+use tokio::sync::{mpsc, watch};
 
 /// What a publication tells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -90,6 +90,8 @@ pub(super) struct TestAlarm<'a> {
 pub struct Subscription {
     pub(super) events: mpsc::Receiver<Arc<Publication>>,
     pub(super) lost: Arc<AtomicU64>,
+    /// How many of them are where they outlive the program; heeded of one that has subscribed to keep them.
+    pub(super) kept: watch::Sender<u64>,
 }
 
 impl Subscription {
@@ -107,19 +109,31 @@ impl Subscription {
     pub fn lost(&self) -> u64 {
         self.lost.swap(0, Ordering::Relaxed)
     }
+
+    /// Says that another event is where it outlives the program, or never will be.
+    pub fn has_kept_one(&self) {
+        self.kept.send_modify(|kept| *kept += 1);
+    }
 }
 
 /// The hub's end of a [`Subscription`].
 pub(super) struct Subscriber {
     pub(super) events: mpsc::Sender<Arc<Publication>>,
     pub(super) lost: Arc<AtomicU64>,
+    /// Of one that keeps events: how many it was handed, and how many it has kept.
+    pub(super) keeps: Option<(u64, watch::Receiver<u64>)>,
 }
 
 impl Subscriber {
     /// Hands an event on, or counts it: who publishes waits for nobody. `false` where nobody hears any more.
-    pub(super) fn hand(&self, publication: &Arc<Publication>) -> bool {
+    pub(super) fn hand(&mut self, publication: &Arc<Publication>) -> bool {
         match self.events.try_send(Arc::clone(publication)) {
-            Ok(()) => true,
+            Ok(()) => {
+                if let Some((handed, _)) = &mut self.keeps {
+                    *handed += 1;
+                }
+                true
+            }
             Err(TrySendError::Full(_)) => {
                 self.lost.fetch_add(1, Ordering::Relaxed);
                 true

@@ -48,6 +48,8 @@ use systemd::{Watchdog, one_line, tell};
 
 /// Time that tasks have to end by themselves.
 const ENDING: Duration = Duration::from_millis(1200);
+/// Longest wait of the state for the events by which it came to be; a disk that hangs must not hold it up for ever.
+const EVENTS_FIRST: Duration = Duration::from_secs(2);
 /// The trends, which are for people, are written this often.
 const TREND_EVERY: Duration = Duration::from_secs(600);
 /// What the disk did not take is tried again this often.
@@ -296,13 +298,16 @@ impl Daemon {
         result
     }
 
+    /// Writes the state, after the events by which it came to it: a kill in between repeats an alarm, and loses none.
     async fn write_state(&mut self) {
         let (keeper, folder) = (self.keeper.clone(), self.state_folder.clone());
+        let axes = keeper.axes();
+        self.hub.all_kept(EVENTS_FIRST).await;
         let events = self.hub.history();
         let newest = events.last().cloned();
         let are_new = newest != self.event_on_disk;
         let written = tokio::task::spawn_blocking(move || {
-            keeper.write(&folder)?;
+            keeper.write(&folder, axes)?;
             if are_new { write_events(&folder, &events) } else { Ok(()) }
         })
         .await;
@@ -403,6 +408,7 @@ impl Daemon {
                 self.start_sink(sink);
             }
         }
+        self.hub.end_parked();
         ready.into_iter().for_each(|axis| self.start_axis(axis));
         self.watch_axes();
         remark(&config);

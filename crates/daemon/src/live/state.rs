@@ -204,17 +204,21 @@ impl Keeper {
         self.changed.subscribe()
     }
 
+    /// What is to be kept as it stands now.
+    pub fn axes(&self) -> BTreeMap<String, AxisState> {
+        self.axes.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
     /// Writes the file.
     ///
     /// # Errors
     /// Writing failed, or another process has taken the folder while this one could not.
-    pub fn write(&self, folder: &Path) -> io::Result<()> {
+    pub fn write(&self, folder: &Path, axes: BTreeMap<String, AxisState>) -> io::Result<()> {
         let mut lock = self.lock.lock().unwrap_or_else(PoisonError::into_inner);
         if lock.is_none() {
             *lock = Some(FolderLock::take(folder)?);
         }
         drop(lock);
-        let axes = self.axes.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let text = serde_json::to_string_pretty(&StateFile { schema: SCHEMA.into(), axes })?;
         write_durably(&folder.join(NAME), text.as_bytes())
     }
@@ -371,7 +375,7 @@ mod tests {
         let duty_cycles = BTreeMap::from([("long".to_owned(), renewing)]);
         let state = AxisState { latch, estimate, duty_cycles, ..AxisState::of_alarm(leaking()) };
         keeper.keep("press", state.clone());
-        keeper.write(&folder).unwrap();
+        keeper.write(&folder, keeper.axes()).unwrap();
         drop(keeper);
         let again = Keeper::open(&folder).unwrap();
         assert_eq!(again.restored("press"), Some(state));
@@ -434,7 +438,7 @@ mod tests {
         fs::create_dir(&path).unwrap();
         assert_eq!(Keeper::open(folder.path()).unwrap().restored("press"), None);
         let keeper = Keeper::open(folder.path()).unwrap();
-        keeper.write(folder.path()).unwrap();
+        keeper.write(folder.path(), keeper.axes()).unwrap();
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 4 + 2);
     }
 
@@ -456,9 +460,9 @@ mod tests {
         fs::write(&in_the_way, "a file").unwrap();
         let keeper = Keeper::open(&in_the_way).unwrap();
         keeper.keep("press", AxisState::of_alarm(leaking()));
-        keeper.write(&in_the_way).unwrap_err();
+        keeper.write(&in_the_way, keeper.axes()).unwrap_err();
         fs::remove_file(&in_the_way).unwrap();
-        keeper.write(&in_the_way).unwrap();
+        keeper.write(&in_the_way, keeper.axes()).unwrap();
         drop(keeper);
         assert_eq!(
             Keeper::open(&in_the_way).unwrap().restored("press"),

@@ -25,7 +25,7 @@ use self::connection::{Connection, ConnectionEvent, Link, Message};
 use crate::config::MqttConfig;
 use crate::failure::Failure;
 use crate::hub::SourceState;
-use crate::hub::{AxisStatus, Hub, NewRepair, Order, Publication, Signature};
+use crate::hub::{AxisStatus, Hub, NewRepair, Order, Publication, Signature, Subscription};
 use crate::journal::Warnings;
 use crate::sink::mqtt::spool::{Counts, Spool};
 use seepd_monitor::event::Flag;
@@ -55,6 +55,8 @@ pub struct Broker {
     link: Link,
     hub: Arc<Hub>,
     spool: Arc<Mutex<Spool>>,
+    /// What it has to tell.
+    events: Option<Subscription>,
     /// What was in the spool when it was last at work.
     counts: Counts,
     connection: Option<Connection>,
@@ -132,7 +134,9 @@ impl Broker {
     pub fn new(config: &MqttConfig, spool_folder: &Path, hub: Arc<Hub>) -> Result<Self, Failure> {
         let now = now();
         let spool = Spool::open(spool_folder, config.spool_events)?;
+        let events = Some(hub.subscribe_to_keep(SINK, config.spool_events));
         Ok(Broker {
+            events,
             link: Link::new(config)?,
             hub,
             counts: spool.counts(),
@@ -163,7 +167,7 @@ impl Broker {
 
     /// Keeps up until told to stop.
     pub async fn run(mut self, mut stop: watch::Receiver<bool>) {
-        let mut events = self.hub.subscribe(self.link.config.spool_events);
+        let Some(mut events) = self.events.take() else { return };
         let mut changes = self.hub.changes();
         let mut status_at = now();
         let mut status_due = true;
@@ -188,6 +192,7 @@ impl Broker {
                 Some(event) = events.recv() => {
                     self.lost += events.lost();
                     self.take(&event).await;
+                    events.has_kept_one();
                 }
                 _ = changes.changed(), if !status_due => status_due = true,
                 () = sleep_until(status_at), if status_due && may_tell => {
@@ -204,7 +209,10 @@ impl Broker {
         // What came until now is on disk before the end.
         while let Some(event) = events.try_recv() {
             self.take(&event).await;
+            events.has_kept_one();
         }
+        // A reload may be starting another one, which tells what comes from here on.
+        self.hub.park(SINK, events);
         self.say_farewell().await;
     }
 
