@@ -2,6 +2,7 @@
 //! must tell. A few sequences run with every test; as many as wanted with
 //! `SEEPD_SEQUENCES=200 cargo test --workspace --test gateway faults::`.
 
+mod broker;
 mod model;
 
 /// How many sequences to try: as many as SEEPD_SEQUENCES says, else so many.

@@ -14,7 +14,7 @@ def run(*arguments: str | Path, check: bool = True) -> subprocess.CompletedProce
     """The program: the binary that SEEPD_BIN names, else the same command line out of the package."""
     binary = os.environ.get("SEEPD_BIN")
     program = [binary] if binary else [sys.executable, "-m", "seepd"]
-    return subprocess.run([*program, *map(str, arguments)], capture_output=True, text=True, check=check, timeout=300)
+    return subprocess.run([*program, *map(str, arguments)], capture_output=True, text=True, check=check, timeout=1200)
 
 
 @pytest.fixture(scope="session")
