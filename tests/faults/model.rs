@@ -370,7 +370,11 @@ impl Plant {
                 self.reload(&broken, "the old configuration stays in force");
                 fs::write(self.path("seepd.toml"), self.config()).unwrap();
             }
-            Fault::BrokerGoes => self.broker = None,
+            Fault::BrokerGoes => {
+                if let Some((broker, _listener)) = self.broker.take() {
+                    broker.end();
+                }
+            }
             Fault::BrokerComes => self.need_broker(),
         }
     }
@@ -457,22 +461,15 @@ impl Plant {
             );
             let walked: Vec<Result<Vec<(u64, Expected)>, String>> =
                 beginnings.into_iter().map(|begin| run.walk(begin, events)).collect();
-            let Some(states) = walked.iter().find_map(|walk| walk.as_ref().ok()) else {
-                panic!(
-                    "run {}: {:?}",
-                    run.name,
-                    walked.iter().map(|walk| walk.as_ref().err()).collect::<Vec<_>>()
-                );
-            };
+            let log = fs::read_to_string(self.path("daemon.log")).unwrap();
+            assert!(walked.iter().any(Result::is_ok), "run {}: {walked:?}\n{log}", run.name);
             // A kill costs at most what came since all was worked through, and what is left was told of.
             let settled = run.seen.last().map_or(0, |(cycles, _)| *cycles);
-            let last = states.last().unwrap().0;
-            let oldest = if run.was_killed { settled } else { last };
-            may_be = states
-                .iter()
-                .filter(|(cycles, _)| *cycles >= oldest)
-                .map(|(_, state)| state.clone())
-                .collect();
+            let left = |states: Vec<(u64, Expected)>| {
+                let oldest = if run.was_killed { settled } else { states.last().unwrap().0 };
+                states.into_iter().filter(move |(cycles, _)| *cycles >= oldest).map(|(_, state)| state)
+            };
+            may_be = walked.into_iter().flatten().flat_map(left).collect();
         }
     }
 }

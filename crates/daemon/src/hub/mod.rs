@@ -190,8 +190,8 @@ impl Hub {
         Subscription { events, lost, kept }
     }
 
-    /// Waits until everything that has been published is kept by those who keep events, but no longer than so long.
-    pub async fn all_kept(&self, limit: Duration) {
+    /// Waits until everything that has been published is kept by those who keep events, but no longer than so long; whether it is.
+    pub async fn all_kept(&self, limit: Duration) -> bool {
         let keeping: Vec<_> =
             self.lock().subscribers.iter().filter_map(|subscriber| subscriber.keeps.clone()).collect();
         let all = async {
@@ -200,7 +200,7 @@ impl Hub {
                 let _ = kept.wait_for(|kept| *kept >= handed).await;
             }
         };
-        let _ = tokio::time::timeout(limit, all).await;
+        tokio::time::timeout(limit, all).await.is_ok()
     }
 
     /// The last events that are no cycles, oldest first, as they were sent: JSON.
@@ -301,14 +301,14 @@ mod tests {
         hub.publish_test("press", 1);
         keeper.recv().await.unwrap();
         keeper.has_kept_one();
-        hub.all_kept(for_ever).await;
+        assert!(hub.all_kept(for_ever).await);
         // One that does not get on with it costs the limit, one that has ended nothing.
         hub.publish_test("press", 2);
         let begin = Instant::now();
-        hub.all_kept(a_while).await;
+        assert!(!hub.all_kept(a_while).await);
         assert!(begin.elapsed() >= a_while);
         drop(keeper);
-        hub.all_kept(for_ever).await;
+        assert!(hub.all_kept(for_ever).await);
     }
 
     #[test]

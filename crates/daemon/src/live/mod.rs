@@ -302,7 +302,12 @@ impl Daemon {
     async fn write_state(&mut self) {
         let (keeper, folder) = (self.keeper.clone(), self.state_folder.clone());
         let axes = keeper.axes();
-        self.hub.all_kept(EVENTS_FIRST).await;
+        if !self.hub.all_kept(EVENTS_FIRST).await {
+            tracing::warn!(
+                "the state is written before its events, which the disk has not taken within {} s",
+                EVENTS_FIRST.as_secs()
+            );
+        }
         let events = self.hub.history();
         let newest = events.last().cloned();
         let are_new = newest != self.event_on_disk;
