@@ -14,6 +14,7 @@ use crate::daemon::{
     Daemon, Machine, Mosquitto, ask, axis_status, can_frame, command_frame, cycle, free_port, has, json,
     machine_toml, until,
 };
+use crate::faults::random;
 use crate::support::{seepd, simulate, stderr, stdout};
 
 const SOON: Duration = Duration::from_secs(10);
@@ -874,14 +875,6 @@ fn the_dashboard_shows_the_machine_in_a_browser() {
     );
     machine.stop();
     drop(daemon);
-}
-
-/// Numbers that look random and are the same in each run (SplitMix64).
-fn random(state: &mut u64) -> u64 {
-    *state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-    let mixed = (*state ^ (*state >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    mixed ^ (mixed >> 31)
 }
 
 /// Long: `cargo test -p seepd --test gateway live::two_hundred_kills -- --ignored`.
