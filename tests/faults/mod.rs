@@ -3,6 +3,7 @@
 //! `SEEPD_SEQUENCES=200 cargo test --workspace --test gateway faults::`.
 
 mod broker;
+mod bus;
 mod logs;
 mod model;
 
