@@ -15,10 +15,12 @@ use crate::clock::Clock;
 use crate::config::{CanOutConfig, DaemonConfig, HttpConfig, MqttConfig, RecordingConfig};
 use crate::failure::{Code, Failure};
 use crate::hub::{AxisStatus, Hub, Kind};
-use crate::live::state_folder;
+use crate::live::{sinks_left_out, state_folder};
 use crate::private_folder::PrivateFolder;
 use crate::sink::can::{self, Layout};
 use crate::sink::influx;
+#[cfg(feature = "sparkplug")]
+use crate::sink::mqtt::sparkplug;
 use crate::sink::mqtt::{self, Broker};
 use crate::sink::recording;
 use crate::sink::terminal::print;
@@ -30,7 +32,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 ///
 /// MQTT gets a message on PREFIX/AXIS/test that the broker must confirm; CAN the configured frame with the flag severe and no estimate,
 /// which no real leak gives; the recording a file with the test; InfluxDB a line of a measurement of its own, which nobody
-/// confirms. For HTTP, the port must answer or be free.
+/// confirms; for Sparkplug B a node NODE-test is born and dies. For HTTP, the port must answer or be free.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd test-sinks --config /etc/seepd/seepd.toml")]
 pub struct TestSinksArguments {
@@ -88,6 +90,9 @@ async fn test_all(config: &DaemonConfig) -> Vec<SinkTest> {
         let message = result.unwrap_or_else(|message| message);
         verdicts.push(SinkTest { schema: "seepd.sink_test/1", sink, good, message });
     };
+    for (sink, message) in sinks_left_out(config) {
+        note(sink, Err(message));
+    }
     if let Some(mqtt) = &config.sinks.mqtt {
         note(mqtt::SINK.into(), test_mqtt(mqtt, &axis).await);
     }
@@ -99,6 +104,10 @@ async fn test_all(config: &DaemonConfig) -> Vec<SinkTest> {
     }
     if let Some(influx) = &config.sinks.influx {
         note(influx::SINK.into(), influx::test(influx, &axis).await);
+    }
+    #[cfg(feature = "sparkplug")]
+    if let Some(node) = &config.sinks.sparkplug {
+        note(sparkplug::SINK.into(), sparkplug::test(node, PATIENCE).await);
     }
     if let Some(http) = &config.sinks.http {
         note("http".into(), test_http(http).await);

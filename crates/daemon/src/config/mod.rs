@@ -16,7 +16,7 @@ pub use axis::{
 };
 pub use sinks::{
     CanOutConfig, CanOutField, CanValue, HttpConfig, InfluxConfig, MqttConfig, MqttVersion, RecordingConfig,
-    SinksConfig,
+    SinksConfig, SparkplugConfig,
 };
 
 /// The content of `seepd.toml`.

@@ -7,7 +7,7 @@ use seepd_logs::can::bit_field::{BitField, ByteOrder, Encoding};
 use seepd_logs::identifier;
 use serde::{Deserialize, Serialize};
 
-use super::AxisConfig;
+use super::{AxisConfig, check_name};
 
 /// The tables that are the daemon's, not an axis's.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -23,6 +23,8 @@ pub struct SinksConfig {
     pub recording: Option<RecordingConfig>,
     /// InfluxDB's line protocol.
     pub influx: Option<InfluxConfig>,
+    /// Sparkplug B.
+    pub sparkplug: Option<SparkplugConfig>,
 }
 
 /// `[http]`: dashboard, JSON, metrics, health.
@@ -124,17 +126,29 @@ impl MqttConfig {
         self.host == "localhost" || self.host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
     }
 
-    /// What is allowed and should be known.
-    fn remark(&self) -> Option<String> {
+    /// What of the connection is allowed and should be known; `table` names it.
+    fn remark(&self, table: &str) -> Option<String> {
         let readable = self.password_file.is_some() && !self.tls && !self.is_local();
         let what = "anybody on the way to the broker can read the password";
-        readable.then(|| format!("mqtt: there is a password_file, but no tls: {what}"))
+        readable.then(|| format!("{table}: there is a password_file, but no tls: {what}"))
+    }
+
+    /// Checks what any connection to a broker has; `table` names it.
+    fn check_connection(&self, table: &str) -> Result<(), String> {
+        if self.host.is_empty() {
+            return Err(format!("{table}.host is empty"));
+        }
+        if self.certificate_file.is_some() != self.key_file.is_some() {
+            return Err(format!("{table}: certificate_file and key_file must be given together"));
+        }
+        if self.password_file.is_some() && self.username.is_none() {
+            return Err(format!("{table}.password_file is given, but no username"));
+        }
+        Ok(())
     }
 
     fn check(&self) -> Result<(), String> {
-        if self.host.is_empty() {
-            return Err("mqtt.host is empty".into());
-        }
+        self.check_connection("mqtt")?;
         let wrong = |c: char| ['#', '+'].contains(&c) || c.is_control();
         if self.prefix.is_empty() || self.prefix.contains(wrong) || self.prefix.starts_with('$') {
             return Err(format!(
@@ -152,13 +166,87 @@ impl MqttConfig {
         if !(1..=1_000_000).contains(&self.spool_events) {
             return Err(format!("mqtt.spool_events is {}; it must lie in 1 … 1000000", self.spool_events));
         }
-        if self.certificate_file.is_some() != self.key_file.is_some() {
-            return Err("mqtt: certificate_file and key_file must be given together".into());
-        }
-        if self.password_file.is_some() && self.username.is_none() {
-            return Err("mqtt.password_file is given, but no username".into());
-        }
         Ok(())
+    }
+}
+
+/// `[sparkplug]`: a node of Sparkplug B, with a connection of its own, since a connection has one last will.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SparkplugConfig {
+    /// Group; there is no default, as names of nodes must differ in a plant.
+    pub group: String,
+    /// Node in the group; likewise.
+    pub node: String,
+    /// Host of the broker.
+    pub host: String,
+    /// Port; absent: 8883 with TLS, 1883 without.
+    pub port: Option<u16>,
+    /// Protocol version.
+    pub version: MqttVersion,
+    /// Client identifier; absent: `seepd-`, group and node.
+    pub client_id: Option<String>,
+    /// User.
+    pub username: Option<String>,
+    /// File with the password.
+    pub password_file: Option<PathBuf>,
+    /// Whether the connection is encrypted.
+    pub tls: bool,
+    /// Certificates that the broker's must lead to (PEM).
+    pub ca_file: PathBuf,
+    /// Own certificate (PEM), where the broker asks for one.
+    pub certificate_file: Option<PathBuf>,
+    /// Its key (PEM).
+    pub key_file: Option<PathBuf>,
+}
+
+impl Default for SparkplugConfig {
+    fn default() -> Self {
+        let MqttConfig { host, port, version, tls, ca_file, .. } = MqttConfig::default();
+        SparkplugConfig {
+            group: String::new(),
+            node: String::new(),
+            host,
+            port,
+            version,
+            client_id: None,
+            username: None,
+            password_file: None,
+            tls,
+            ca_file,
+            certificate_file: None,
+            key_file: None,
+        }
+    }
+}
+
+impl SparkplugConfig {
+    /// Its connection to the broker.
+    pub fn connection(&self) -> MqttConfig {
+        let own = || format!("seepd-{}-{}", self.group, self.node);
+        MqttConfig {
+            host: self.host.clone(),
+            port: self.port,
+            version: self.version,
+            client_id: Some(self.client_id.clone().unwrap_or_else(own)),
+            username: self.username.clone(),
+            password_file: self.password_file.clone(),
+            tls: self.tls,
+            ca_file: self.ca_file.clone(),
+            certificate_file: self.certificate_file.clone(),
+            key_file: self.key_file.clone(),
+            ..MqttConfig::default()
+        }
+    }
+
+    fn check(&self) -> Result<(), String> {
+        for (key, name) in [("sparkplug.group", &self.group), ("sparkplug.node", &self.node)] {
+            if name.is_empty() {
+                return Err(format!("{key} is missing"));
+            }
+            check_name(key, name)?;
+        }
+        self.connection().check_connection("sparkplug")
     }
 }
 
@@ -401,7 +489,7 @@ fn credential(folder: &Path) -> impl Fn(&mut PathBuf) {
 
 impl SinksConfig {
     /// The tables' names: every field.
-    pub(super) const KEYS: &[&'static str] = &["http", "mqtt", "can_out", "recording", "influx"];
+    pub(super) const KEYS: &[&'static str] = &["http", "mqtt", "can_out", "recording", "influx", "sparkplug"];
 
     /// Checks the tables beside the axes that they tell of.
     ///
@@ -411,6 +499,7 @@ impl SinksConfig {
         self.mqtt.as_ref().map_or(Ok(()), MqttConfig::check)?;
         self.recording.as_ref().map_or(Ok(()), RecordingConfig::check)?;
         self.influx.as_ref().map_or(Ok(()), InfluxConfig::check)?;
+        self.sparkplug.as_ref().map_or(Ok(()), SparkplugConfig::check)?;
         for frame in &self.can_out {
             frame.check()?;
             let known = axes.iter().any(|axis| axis.axis == frame.axis);
@@ -453,7 +542,9 @@ impl SinksConfig {
     /// What is allowed and should be known.
     pub(super) fn remarks(&self) -> impl Iterator<Item = String> {
         let of_http = self.http.as_ref().and_then(HttpConfig::remark);
-        of_http.into_iter().chain(self.mqtt.as_ref().and_then(MqttConfig::remark))
+        let of_mqtt = self.mqtt.as_ref().and_then(|mqtt| mqtt.remark("mqtt"));
+        let of_sparkplug = self.sparkplug.as_ref().and_then(|node| node.connection().remark("sparkplug"));
+        of_http.into_iter().chain(of_mqtt).chain(of_sparkplug)
     }
 
     /// Takes paths as relative to the folder of the file.
@@ -467,6 +558,11 @@ impl SinksConfig {
             mqtt.password_file.iter_mut().for_each(credential(folder));
             mqtt.certificate_file.iter_mut().for_each(credential(folder));
             mqtt.key_file.iter_mut().for_each(credential(folder));
+        }
+        if let Some(node) = &mut self.sparkplug {
+            place(&mut node.ca_file);
+            let files = [&mut node.password_file, &mut node.certificate_file, &mut node.key_file];
+            files.into_iter().flatten().for_each(credential(folder));
         }
         if let Some(recording) = &mut self.recording {
             recording.folder.iter_mut().for_each(place);

@@ -11,12 +11,16 @@ use tokio::time::{sleep, timeout};
 
 use super::stamps::{Stamps, stamps};
 use super::{Daemon, ENDING, RETRY_DISK, end_task};
-use crate::config::{CanOutConfig, DaemonConfig, HttpConfig, InfluxConfig, MqttConfig, RecordingConfig};
-use crate::failure::Failure;
+use crate::config::{
+    CanOutConfig, DaemonConfig, HttpConfig, InfluxConfig, MqttConfig, RecordingConfig, SparkplugConfig,
+};
+use crate::failure::{Code, Failure};
 use crate::hub::Hub;
 use crate::sink::can::{self, Layout};
 use crate::sink::http::{self, Http};
 use crate::sink::influx;
+#[cfg(feature = "sparkplug")]
+use crate::sink::mqtt::sparkplug::Node;
 use crate::sink::mqtt::{self, Broker};
 use crate::sink::recording::{self, Recorder};
 
@@ -31,6 +35,23 @@ pub(super) enum SinkConfig {
     Can(CanOutConfig, String),
     Recording(RecordingConfig, Vec<String>),
     Influx(InfluxConfig),
+    Sparkplug(SparkplugConfig),
+}
+
+/// Why this build cannot serve a sink that was left out of it.
+fn left_out(config: &SinkConfig) -> Option<String> {
+    let feature = match config {
+        SinkConfig::Sparkplug(_) if cfg!(not(feature = "sparkplug")) => "sparkplug",
+        _ => return None,
+    };
+    let name = config.name();
+    Some(format!("{name}: this build of seepd does not speak it; build one with the feature `{feature}`"))
+}
+
+/// Names of the configured sinks that were left out of this build, and what to do.
+pub fn sinks_left_out(config: &DaemonConfig) -> Vec<(String, String)> {
+    let sinks = sink_configs(config);
+    sinks.iter().filter_map(|sink| Some((sink.name(), left_out(sink)?))).collect()
 }
 
 impl SinkConfig {
@@ -41,6 +62,7 @@ impl SinkConfig {
             SinkConfig::Can(frame, _) => can::sink_name(frame),
             SinkConfig::Recording(..) => recording::SINK.into(),
             SinkConfig::Influx(_) => influx::SINK.into(),
+            SinkConfig::Sparkplug(_) => "sparkplug".into(),
         }
     }
 
@@ -51,6 +73,11 @@ impl SinkConfig {
             SinkConfig::Mqtt(mqtt) => {
                 let ca_file = Some(&mqtt.ca_file).filter(|_| mqtt.tls);
                 let own = [&mqtt.password_file, &mqtt.certificate_file, &mqtt.key_file].map(Option::as_ref);
+                [ca_file, own[0], own[1], own[2]]
+            }
+            SinkConfig::Sparkplug(node) => {
+                let ca_file = Some(&node.ca_file).filter(|_| node.tls);
+                let own = [&node.password_file, &node.certificate_file, &node.key_file].map(Option::as_ref);
                 [ca_file, own[0], own[1], own[2]]
             }
             SinkConfig::Can(..) | SinkConfig::Recording(..) | SinkConfig::Influx(_) => [None; 4],
@@ -81,9 +108,13 @@ pub fn check_sinks(config: &DaemonConfig) -> Result<(), Failure> {
 }
 
 pub(super) fn check_sink(config: &SinkConfig) -> Result<(), Failure> {
+    if let Some(message) = left_out(config) {
+        return Err(Failure::new(Code::Configuration, message));
+    }
     match config {
         SinkConfig::Http(http) => http::token(http).map(drop),
         SinkConfig::Mqtt(mqtt) => mqtt::credentials(mqtt).map(drop),
+        SinkConfig::Sparkplug(node) => mqtt::credentials(&node.connection()).map(drop),
         SinkConfig::Can(frame, _) => Layout::new(frame).map(drop),
         SinkConfig::Recording(..) | SinkConfig::Influx(_) => Ok(()),
     }
@@ -104,7 +135,8 @@ pub(super) fn sink_configs(config: &DaemonConfig) -> Vec<SinkConfig> {
     let http = sinks.http.map(SinkConfig::Http);
     let mqtt = sinks.mqtt.map(SinkConfig::Mqtt);
     let influx = sinks.influx.map(SinkConfig::Influx);
-    recording.into_iter().chain(http).chain(mqtt).chain(influx).chain(can).collect()
+    let sparkplug = sinks.sparkplug.map(SinkConfig::Sparkplug);
+    recording.into_iter().chain(http).chain(mqtt).chain(influx).chain(sparkplug).chain(can).collect()
 }
 
 impl Daemon {
@@ -159,6 +191,8 @@ impl Daemon {
             SinkConfig::Influx(influx) => {
                 Ending::Task(tokio::spawn(influx::run(influx.clone(), hub, stopped)))
             }
+            #[cfg(feature = "sparkplug")]
+            SinkConfig::Sparkplug(node) => Ending::Task(tokio::spawn(Node::new(node, hub)?.run(stopped))),
             SinkConfig::Recording(recording, axes) => {
                 let folder = recording.folder.clone().unwrap_or_else(|| self.state_folder.join("recordings"));
                 let (recorder, thread) = recording::start(recording, &folder, axes.clone(), hub)?;

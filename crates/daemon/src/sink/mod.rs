@@ -18,4 +18,6 @@ pub mod plain;
 pub mod prometheus;
 #[cfg(feature = "live")]
 pub mod recording;
+#[cfg(feature = "live")]
+mod sizes;
 pub mod terminal;

@@ -69,14 +69,20 @@ pub(super) struct Message {
     pub(super) content: Vec<u8>,
 }
 
+/// What the broker tells others where this client is gone without a farewell; with QoS 1.
+pub(super) struct Will {
+    pub(super) topic: String,
+    pub(super) message: Vec<u8>,
+    pub(super) retain: bool,
+}
+
 /// Where the broker is, and who asks.
 pub(super) struct Link {
     pub(super) config: MqttConfig,
     client_id: String,
     password: Option<String>,
     tls: Option<Arc<ClientConfig>>,
-    /// Whether this client announces itself as the daemon and takes orders.
-    pub(super) presence: bool,
+    pub(super) will: Option<Will>,
 }
 
 impl Link {
@@ -89,7 +95,7 @@ impl Link {
         let host = nix::unistd::gethostname().unwrap_or_default();
         let client_id =
             config.client_id.clone().unwrap_or_else(|| format!("seepd-{}", host.to_string_lossy()));
-        Ok(Link { config: config.clone(), client_id, password, tls, presence: true })
+        Ok(Link { config: config.clone(), client_id, password, tls, will: None })
     }
 
     /// Host and port.
@@ -142,7 +148,7 @@ impl Connection {
     pub(super) async fn publish(
         &self,
         topic: String,
-        message: String,
+        message: Vec<u8>,
         qos: QoS,
         retain: bool,
     ) -> Result<(), String> {
@@ -181,8 +187,8 @@ fn open_3(link: &Link, events: mpsc::Sender<ConnectionEvent>) -> (Client, JoinHa
     use rumqttc::{AsyncClient, Event, LastWill, MqttOptions, Packet};
     let mut options = MqttOptions::new(&link.client_id, &link.config.host, link.config.port());
     options.set_keep_alive(KEEP_ALIVE).set_clean_session(true).set_max_packet_size(64 << 10, 256 << 10);
-    if link.presence {
-        options.set_last_will(LastWill::new(link.topic("status"), "offline", QoS::AtLeastOnce, true));
+    if let Some(Will { topic, message, retain }) = &link.will {
+        options.set_last_will(LastWill::new(topic, message.clone(), QoS::AtLeastOnce, *retain));
     }
     if let Some(user) = &link.config.username {
         options.set_credentials(user, link.password.as_deref().unwrap_or_default());
@@ -216,9 +222,9 @@ fn open_5(link: &Link, events: mpsc::Sender<ConnectionEvent>) -> (Client, JoinHa
     use v5::{AsyncClient, Event, MqttOptions};
     let mut options = MqttOptions::new(&link.client_id, &link.config.host, link.config.port());
     options.set_keep_alive(KEEP_ALIVE).set_clean_start(true).set_max_packet_size(Some(64 << 10));
-    if link.presence {
-        let will = LastWill::new(link.topic("status"), "offline", qos_5(QoS::AtLeastOnce), true, None);
-        options.set_last_will(will);
+    if let Some(Will { topic, message, retain }) = &link.will {
+        let qos = qos_5(QoS::AtLeastOnce);
+        options.set_last_will(LastWill::new(topic.clone(), message.clone(), qos, *retain, None));
     }
     if let Some(user) = &link.config.username {
         options.set_credentials(user, link.password.as_deref().unwrap_or_default());
