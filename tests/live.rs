@@ -251,7 +251,7 @@ fn events_wait_for_a_broker_that_is_away_and_arrive_in_order() {
 }
 
 /// Makes an authority, a certificate for localhost and a password; the lines by which mosquitto asks for them.
-fn secure_broker(folder: &Path) -> String {
+pub(crate) fn secure_broker(folder: &Path) -> String {
     let place = |name: &str| folder.join(name).display().to_string();
     let run = |program: &str, arguments: &[&str]| {
         let output = Command::new(program).args(arguments).output().unwrap();
@@ -811,6 +811,14 @@ fn configurations_that_cannot_work_are_refused_before_the_start() {
         ("[influx]\nudp = \"nowhere\"\n", "influx.udp is `nowhere`"),
         ("[influx]\nmeasurement = \"a b\"\n", "influx.measurement is `a b`"),
         ("[influx]\nperiod_s = 0.0\n", "influx.period_s is 0"),
+        ("[opentelemetry]\nendpoint = \"localhost:4318\"\n", "opentelemetry.endpoint is `localhost:4318`"),
+        (
+            "[opentelemetry]\nendpoint = \"http://a/\\r\\nX: y\"\n",
+            "opentelemetry.endpoint is `http://a/\\r\\nX: y`",
+        ),
+        ("[opentelemetry]\nperiod_s = 0.5\n", "opentelemetry.period_s is 0.5"),
+        ("[opentelemetry]\nservice_name = \"<b>\"\n", "opentelemetry.service_name is `<b>`"),
+        ("[opentelemetry]\ntoken_file = \"nowhere\"\n", "nowhere"),
         ("[sparkplug]\nnode = \"a\"\n", "sparkplug.group is missing"),
         ("[sparkplug]\ngroup = \"a\"\nnode = \"b/c\"\n", "sparkplug.node is `b/c`"),
         ("[sparkplug]\ngroup = \"+\"\nnode = \"b\"\n", "sparkplug.group is `+`"),

@@ -22,6 +22,8 @@ use crate::sink::influx;
 #[cfg(feature = "sparkplug")]
 use crate::sink::mqtt::sparkplug;
 use crate::sink::mqtt::{self, Broker};
+#[cfg(feature = "opentelemetry")]
+use crate::sink::opentelemetry;
 use crate::sink::recording;
 use crate::sink::terminal::print;
 
@@ -32,7 +34,8 @@ const PATIENCE: Duration = Duration::from_secs(10);
 ///
 /// MQTT gets a message on PREFIX/AXIS/test that the broker must confirm; CAN the configured frame with the flag severe and no estimate,
 /// which no real leak gives; the recording a file with the test; InfluxDB a line of a measurement of its own, which nobody
-/// confirms; for Sparkplug B a node NODE-test is born and dies. For HTTP, the port must answer or be free.
+/// confirms; for Sparkplug B a node NODE-test is born and dies; OpenTelemetry's endpoint
+/// must accept a gauge `seepd_test`. For HTTP, the port must answer or be free.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd test-sinks --config /etc/seepd/seepd.toml")]
 pub struct TestSinksArguments {
@@ -108,6 +111,10 @@ async fn test_all(config: &DaemonConfig) -> Vec<SinkTest> {
     #[cfg(feature = "sparkplug")]
     if let Some(node) = &config.sinks.sparkplug {
         note(sparkplug::SINK.into(), sparkplug::test(node, PATIENCE).await);
+    }
+    #[cfg(feature = "opentelemetry")]
+    if let Some(telemetry) = &config.sinks.opentelemetry {
+        note(opentelemetry::SINK.into(), opentelemetry::test(telemetry, &axis).await);
     }
     if let Some(http) = &config.sinks.http {
         note("http".into(), test_http(http).await);

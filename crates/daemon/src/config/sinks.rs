@@ -7,7 +7,8 @@ use seepd_logs::can::bit_field::{BitField, ByteOrder, Encoding};
 use seepd_logs::identifier;
 use serde::{Deserialize, Serialize};
 
-use super::{AxisConfig, check_name};
+use super::AxisConfig;
+use super::plant::{OpenTelemetryConfig, SparkplugConfig};
 
 /// The tables that are the daemon's, not an axis's.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -25,6 +26,8 @@ pub struct SinksConfig {
     pub influx: Option<InfluxConfig>,
     /// Sparkplug B.
     pub sparkplug: Option<SparkplugConfig>,
+    /// OpenTelemetry.
+    pub opentelemetry: Option<OpenTelemetryConfig>,
 }
 
 /// `[http]`: dashboard, JSON, metrics, health.
@@ -49,6 +52,11 @@ impl HttpConfig {
         let what = "anybody who is logged in to this machine can read the page and give orders";
         self.token_file.is_none().then(|| format!("http: there is no token_file: {what}"))
     }
+}
+
+/// Whether a host is this machine.
+pub(super) fn is_local(host: &str) -> bool {
+    host == "localhost" || host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
 /// Versions of MQTT.
@@ -123,7 +131,7 @@ impl MqttConfig {
 
     /// Whether the broker is on this machine.
     fn is_local(&self) -> bool {
-        self.host == "localhost" || self.host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+        is_local(&self.host)
     }
 
     /// What of the connection is allowed and should be known; `table` names it.
@@ -134,7 +142,7 @@ impl MqttConfig {
     }
 
     /// Checks what any connection to a broker has; `table` names it.
-    fn check_connection(&self, table: &str) -> Result<(), String> {
+    pub(super) fn check_connection(&self, table: &str) -> Result<(), String> {
         if self.host.is_empty() {
             return Err(format!("{table}.host is empty"));
         }
@@ -167,86 +175,6 @@ impl MqttConfig {
             return Err(format!("mqtt.spool_events is {}; it must lie in 1 … 1000000", self.spool_events));
         }
         Ok(())
-    }
-}
-
-/// `[sparkplug]`: a node of Sparkplug B, with a connection of its own, since a connection has one last will.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct SparkplugConfig {
-    /// Group; there is no default, as names of nodes must differ in a plant.
-    pub group: String,
-    /// Node in the group; likewise.
-    pub node: String,
-    /// Host of the broker.
-    pub host: String,
-    /// Port; absent: 8883 with TLS, 1883 without.
-    pub port: Option<u16>,
-    /// Protocol version.
-    pub version: MqttVersion,
-    /// Client identifier; absent: `seepd-`, group and node.
-    pub client_id: Option<String>,
-    /// User.
-    pub username: Option<String>,
-    /// File with the password.
-    pub password_file: Option<PathBuf>,
-    /// Whether the connection is encrypted.
-    pub tls: bool,
-    /// Certificates that the broker's must lead to (PEM).
-    pub ca_file: PathBuf,
-    /// Own certificate (PEM), where the broker asks for one.
-    pub certificate_file: Option<PathBuf>,
-    /// Its key (PEM).
-    pub key_file: Option<PathBuf>,
-}
-
-impl Default for SparkplugConfig {
-    fn default() -> Self {
-        let MqttConfig { host, port, version, tls, ca_file, .. } = MqttConfig::default();
-        SparkplugConfig {
-            group: String::new(),
-            node: String::new(),
-            host,
-            port,
-            version,
-            client_id: None,
-            username: None,
-            password_file: None,
-            tls,
-            ca_file,
-            certificate_file: None,
-            key_file: None,
-        }
-    }
-}
-
-impl SparkplugConfig {
-    /// Its connection to the broker.
-    pub fn connection(&self) -> MqttConfig {
-        let own = || format!("seepd-{}-{}", self.group, self.node);
-        MqttConfig {
-            host: self.host.clone(),
-            port: self.port,
-            version: self.version,
-            client_id: Some(self.client_id.clone().unwrap_or_else(own)),
-            username: self.username.clone(),
-            password_file: self.password_file.clone(),
-            tls: self.tls,
-            ca_file: self.ca_file.clone(),
-            certificate_file: self.certificate_file.clone(),
-            key_file: self.key_file.clone(),
-            ..MqttConfig::default()
-        }
-    }
-
-    fn check(&self) -> Result<(), String> {
-        for (key, name) in [("sparkplug.group", &self.group), ("sparkplug.node", &self.node)] {
-            if name.is_empty() {
-                return Err(format!("{key} is missing"));
-            }
-            check_name(key, name)?;
-        }
-        self.connection().check_connection("sparkplug")
     }
 }
 
@@ -489,7 +417,8 @@ fn credential(folder: &Path) -> impl Fn(&mut PathBuf) {
 
 impl SinksConfig {
     /// The tables' names: every field.
-    pub(super) const KEYS: &[&'static str] = &["http", "mqtt", "can_out", "recording", "influx", "sparkplug"];
+    pub(super) const KEYS: &[&'static str] =
+        &["http", "mqtt", "can_out", "recording", "influx", "sparkplug", "opentelemetry"];
 
     /// Checks the tables beside the axes that they tell of.
     ///
@@ -500,6 +429,7 @@ impl SinksConfig {
         self.recording.as_ref().map_or(Ok(()), RecordingConfig::check)?;
         self.influx.as_ref().map_or(Ok(()), InfluxConfig::check)?;
         self.sparkplug.as_ref().map_or(Ok(()), SparkplugConfig::check)?;
+        self.opentelemetry.as_ref().map_or(Ok(()), OpenTelemetryConfig::check)?;
         for frame in &self.can_out {
             frame.check()?;
             let known = axes.iter().any(|axis| axis.axis == frame.axis);
@@ -544,7 +474,8 @@ impl SinksConfig {
         let of_http = self.http.as_ref().and_then(HttpConfig::remark);
         let of_mqtt = self.mqtt.as_ref().and_then(|mqtt| mqtt.remark("mqtt"));
         let of_sparkplug = self.sparkplug.as_ref().and_then(|node| node.connection().remark("sparkplug"));
-        of_http.into_iter().chain(of_mqtt).chain(of_sparkplug)
+        let of_telemetry = self.opentelemetry.as_ref().and_then(OpenTelemetryConfig::remark);
+        of_http.into_iter().chain(of_mqtt).chain(of_sparkplug).chain(of_telemetry)
     }
 
     /// Takes paths as relative to the folder of the file.
@@ -563,6 +494,10 @@ impl SinksConfig {
             place(&mut node.ca_file);
             let files = [&mut node.password_file, &mut node.certificate_file, &mut node.key_file];
             files.into_iter().flatten().for_each(credential(folder));
+        }
+        if let Some(telemetry) = &mut self.opentelemetry {
+            place(&mut telemetry.ca_file);
+            telemetry.token_file.iter_mut().for_each(credential(folder));
         }
         if let Some(recording) = &mut self.recording {
             recording.folder.iter_mut().for_each(place);

@@ -12,7 +12,8 @@ use tokio::time::{sleep, timeout};
 use super::stamps::{Stamps, stamps};
 use super::{Daemon, ENDING, RETRY_DISK, end_task};
 use crate::config::{
-    CanOutConfig, DaemonConfig, HttpConfig, InfluxConfig, MqttConfig, RecordingConfig, SparkplugConfig,
+    CanOutConfig, DaemonConfig, HttpConfig, InfluxConfig, MqttConfig, OpenTelemetryConfig, RecordingConfig,
+    SparkplugConfig,
 };
 use crate::failure::{Code, Failure};
 use crate::hub::Hub;
@@ -22,6 +23,8 @@ use crate::sink::influx;
 #[cfg(feature = "sparkplug")]
 use crate::sink::mqtt::sparkplug::Node;
 use crate::sink::mqtt::{self, Broker};
+#[cfg(feature = "opentelemetry")]
+use crate::sink::opentelemetry::Exporter;
 use crate::sink::recording::{self, Recorder};
 
 /// Wait before a port that is taken is tried again.
@@ -36,12 +39,14 @@ pub(super) enum SinkConfig {
     Recording(RecordingConfig, Vec<String>),
     Influx(InfluxConfig),
     Sparkplug(SparkplugConfig),
+    OpenTelemetry(OpenTelemetryConfig),
 }
 
 /// Why this build cannot serve a sink that was left out of it.
 fn left_out(config: &SinkConfig) -> Option<String> {
     let feature = match config {
         SinkConfig::Sparkplug(_) if cfg!(not(feature = "sparkplug")) => "sparkplug",
+        SinkConfig::OpenTelemetry(_) if cfg!(not(feature = "opentelemetry")) => "opentelemetry",
         _ => return None,
     };
     let name = config.name();
@@ -63,6 +68,7 @@ impl SinkConfig {
             SinkConfig::Recording(..) => recording::SINK.into(),
             SinkConfig::Influx(_) => influx::SINK.into(),
             SinkConfig::Sparkplug(_) => "sparkplug".into(),
+            SinkConfig::OpenTelemetry(_) => "opentelemetry".into(),
         }
     }
 
@@ -79,6 +85,10 @@ impl SinkConfig {
                 let ca_file = Some(&node.ca_file).filter(|_| node.tls);
                 let own = [&node.password_file, &node.certificate_file, &node.key_file].map(Option::as_ref);
                 [ca_file, own[0], own[1], own[2]]
+            }
+            SinkConfig::OpenTelemetry(telemetry) => {
+                let is_https = telemetry.place().is_ok_and(|place| place.tls);
+                [Some(&telemetry.ca_file).filter(|_| is_https), telemetry.token_file.as_ref(), None, None]
             }
             SinkConfig::Can(..) | SinkConfig::Recording(..) | SinkConfig::Influx(_) => [None; 4],
         };
@@ -116,6 +126,10 @@ pub(super) fn check_sink(config: &SinkConfig) -> Result<(), Failure> {
         SinkConfig::Mqtt(mqtt) => mqtt::credentials(mqtt).map(drop),
         SinkConfig::Sparkplug(node) => mqtt::credentials(&node.connection()).map(drop),
         SinkConfig::Can(frame, _) => Layout::new(frame).map(drop),
+        #[cfg(feature = "opentelemetry")]
+        SinkConfig::OpenTelemetry(telemetry) => Exporter::new(telemetry, Hub::new("check".into())).map(drop),
+        #[cfg(not(feature = "opentelemetry"))]
+        SinkConfig::OpenTelemetry(_) => Ok(()),
         SinkConfig::Recording(..) | SinkConfig::Influx(_) => Ok(()),
     }
 }
@@ -136,7 +150,9 @@ pub(super) fn sink_configs(config: &DaemonConfig) -> Vec<SinkConfig> {
     let mqtt = sinks.mqtt.map(SinkConfig::Mqtt);
     let influx = sinks.influx.map(SinkConfig::Influx);
     let sparkplug = sinks.sparkplug.map(SinkConfig::Sparkplug);
-    recording.into_iter().chain(http).chain(mqtt).chain(influx).chain(sparkplug).chain(can).collect()
+    let telemetry = sinks.opentelemetry.map(SinkConfig::OpenTelemetry);
+    let one_each = [recording, http, mqtt, influx, sparkplug, telemetry];
+    one_each.into_iter().flatten().chain(can).collect()
 }
 
 impl Daemon {
@@ -193,11 +209,19 @@ impl Daemon {
             }
             #[cfg(feature = "sparkplug")]
             SinkConfig::Sparkplug(node) => Ending::Task(tokio::spawn(Node::new(node, hub)?.run(stopped))),
+            #[cfg(feature = "opentelemetry")]
+            SinkConfig::OpenTelemetry(telemetry) => {
+                Ending::Task(tokio::spawn(Exporter::new(telemetry, hub)?.run(stopped)))
+            }
             SinkConfig::Recording(recording, axes) => {
                 let folder = recording.folder.clone().unwrap_or_else(|| self.state_folder.join("recordings"));
                 let (recorder, thread) = recording::start(recording, &folder, axes.clone(), hub)?;
                 self.recorder.send_replace(Some(recorder.clone()));
                 Ending::Thread(recorder, thread)
+            }
+            #[cfg(not(all(feature = "opentelemetry", feature = "sparkplug")))]
+            other => {
+                return Err(Failure::new(Code::Configuration, left_out(other).unwrap_or_default()));
             }
         };
         self.sinks.push(RunningSink { config, files, name: name.to_owned(), stop, task });

@@ -13,11 +13,17 @@ pub mod json;
 pub mod mcap;
 #[cfg(feature = "live")]
 pub mod mqtt;
+#[cfg(feature = "opentelemetry")]
+pub mod opentelemetry;
 pub mod plain;
 #[cfg(feature = "live")]
 pub mod prometheus;
 #[cfg(feature = "live")]
 pub mod recording;
 #[cfg(feature = "live")]
+mod series;
+#[cfg(feature = "live")]
 mod sizes;
 pub mod terminal;
+#[cfg(feature = "live")]
+mod tls;

@@ -5,15 +5,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use rumqttc::{QoS, TlsConfiguration, Transport, v5};
-use rustls::pki_types::pem::PemObject;
-use rustls::pki_types::{CertificateDer, PrivateKeyDer};
-use rustls::{ClientConfig, RootCertStore};
+use rustls::ClientConfig;
 use seepd_settings::side_file;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
 use crate::config::{MqttConfig, MqttVersion};
-use crate::failure::{Code, Failure};
+use crate::failure::Failure;
+use crate::sink::tls;
 
 /// Time after which a silent broker is asked whether it is there.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
@@ -275,38 +274,7 @@ pub fn credentials(config: &MqttConfig) -> Result<(Option<String>, Option<Arc<Cl
     let read = |path: &Path| side_file::read_text(path).map_err(|error| Failure::reading(path, &error));
     let password = config.password_file.as_deref().map(read).transpose()?;
     let password = password.map(|text| text.trim_end_matches(['\r', '\n']).to_owned());
-    let tls = if config.tls { Some(Arc::new(tls(config)?)) } else { None };
+    let own = config.certificate_file.as_deref().zip(config.key_file.as_deref());
+    let tls = if config.tls { Some(tls::client(&config.ca_file, own)?) } else { None };
     Ok((password, tls))
-}
-
-fn tls(config: &MqttConfig) -> Result<ClientConfig, Failure> {
-    let bad =
-        |path: &Path, what: String| Failure::new(Code::Configuration, format!("{}: {what}", path.display()));
-    let mut roots = RootCertStore::empty();
-    roots.add_parsable_certificates(certificates(&config.ca_file)?);
-    if roots.is_empty() {
-        return Err(bad(&config.ca_file, "the file has no certificate that can be trusted".into()));
-    }
-    let provider = Arc::new(rustls::crypto::ring::default_provider());
-    let builder = ClientConfig::builder_with_provider(provider)
-        .with_safe_default_protocol_versions()
-        .map_err(|error| Failure::new(Code::Internal, error.to_string()))?
-        .with_root_certificates(roots);
-    match (&config.certificate_file, &config.key_file) {
-        (Some(certificate), Some(key)) => {
-            let pem = side_file::read(key).map_err(|error| Failure::reading(key, &error))?;
-            let private = PrivateKeyDer::from_pem_slice(&pem).map_err(|error| bad(key, error.to_string()))?;
-            builder
-                .with_client_auth_cert(certificates(certificate)?, private)
-                .map_err(|error| bad(certificate, error.to_string()))
-        }
-        _ => Ok(builder.with_no_client_auth()),
-    }
-}
-
-fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, Failure> {
-    let pem = side_file::read(path).map_err(|error| Failure::reading(path, &error))?;
-    CertificateDer::pem_slice_iter(&pem).collect::<Result<Vec<_>, _>>().map_err(|error| {
-        Failure::configuration(path, format!("this is not a PEM file of certificates: {error}"))
-    })
 }
