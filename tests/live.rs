@@ -811,6 +811,8 @@ fn configurations_that_cannot_work_are_refused_before_the_start() {
         ("[influx]\nudp = \"nowhere\"\n", "influx.udp is `nowhere`"),
         ("[influx]\nmeasurement = \"a b\"\n", "influx.measurement is `a b`"),
         ("[influx]\nperiod_s = 0.0\n", "influx.period_s is 0"),
+        ("[foxglove]\nlisten = \"0.0.0.0:8765\"\n", "foxglove.token_file"),
+        ("[http]\nlisten = \"127.0.0.1:8765\"\n[foxglove]\n", "http.listen and foxglove.listen are both"),
         ("[opentelemetry]\nendpoint = \"localhost:4318\"\n", "opentelemetry.endpoint is `localhost:4318`"),
         (
             "[opentelemetry]\nendpoint = \"http://a/\\r\\nX: y\"\n",

@@ -18,10 +18,9 @@ use crate::hub::{AxisStatus, Hub, Kind};
 use crate::live::{sinks_left_out, state_folder};
 use crate::private_folder::PrivateFolder;
 use crate::sink::can::{self, Layout};
+#[cfg(feature = "foxglove")]
+use crate::sink::foxglove;
 use crate::sink::influx;
-#[cfg(feature = "sparkplug")]
-use crate::sink::mqtt::sparkplug;
-use crate::sink::mqtt::{self, Broker};
 #[cfg(feature = "opentelemetry")]
 use crate::sink::opentelemetry;
 use crate::sink::recording;
@@ -35,7 +34,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// MQTT gets a message on PREFIX/AXIS/test that the broker must confirm; CAN the configured frame with the flag severe and no estimate,
 /// which no real leak gives; the recording a file with the test; InfluxDB a line of a measurement of its own, which nobody
 /// confirms; for Sparkplug B a node NODE-test is born and dies; OpenTelemetry's endpoint
-/// must accept a gauge `seepd_test`. For HTTP, the port must answer or be free.
+/// must accept a gauge `seepd_test`. For HTTP and Foxglove, the port must answer or be free.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd test-sinks --config /etc/seepd/seepd.toml")]
 pub struct TestSinksArguments {
@@ -115,6 +114,10 @@ async fn test_all(config: &DaemonConfig) -> Vec<SinkTest> {
     #[cfg(feature = "opentelemetry")]
     if let Some(telemetry) = &config.sinks.opentelemetry {
         note(opentelemetry::SINK.into(), opentelemetry::test(telemetry, &axis).await);
+    }
+    #[cfg(feature = "foxglove")]
+    if let Some(config) = &config.sinks.foxglove {
+        note(foxglove::SINK.into(), foxglove::test(config).await);
     }
     if let Some(http) = &config.sinks.http {
         note("http".into(), test_http(http).await);

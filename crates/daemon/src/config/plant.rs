@@ -1,5 +1,6 @@
-//! Tables of the plant's further languages, each a feature of the build: Sparkplug B, OpenTelemetry.
+//! Tables of the plant's further languages, each a feature of the build: Sparkplug B, OpenTelemetry, Foxglove.
 
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
@@ -144,5 +145,33 @@ impl OpenTelemetryConfig {
             return Err(format!("opentelemetry.period_s is {}; it must lie in 1 … 3600", self.period_s));
         }
         Ok(())
+    }
+}
+
+/// `[foxglove]`: a server of Foxglove's WebSocket protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct FoxgloveConfig {
+    /// Address and port.
+    pub listen: SocketAddr,
+    /// File with the token that the address must end in (`/?token=TOKEN`); needed for any address but the host's own.
+    pub token_file: Option<PathBuf>,
+}
+
+impl Default for FoxgloveConfig {
+    fn default() -> Self {
+        FoxgloveConfig { listen: SocketAddr::from(([127, 0, 0, 1], 8765)), token_file: None }
+    }
+}
+
+impl FoxgloveConfig {
+    pub(super) fn check(&self) -> Result<(), String> {
+        if self.listen.ip().is_loopback() || self.token_file.is_some() {
+            return Ok(());
+        }
+        Err(format!(
+            "foxglove.listen is {}, which others can reach: name a file with a token in foxglove.token_file",
+            self.listen
+        ))
     }
 }

@@ -8,7 +8,7 @@ use seepd_logs::identifier;
 use serde::{Deserialize, Serialize};
 
 use super::AxisConfig;
-use super::plant::{OpenTelemetryConfig, SparkplugConfig};
+use super::plant::{FoxgloveConfig, OpenTelemetryConfig, SparkplugConfig};
 
 /// The tables that are the daemon's, not an axis's.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -28,6 +28,8 @@ pub struct SinksConfig {
     pub sparkplug: Option<SparkplugConfig>,
     /// OpenTelemetry.
     pub opentelemetry: Option<OpenTelemetryConfig>,
+    /// Foxglove's WebSocket.
+    pub foxglove: Option<FoxgloveConfig>,
 }
 
 /// `[http]`: dashboard, JSON, metrics, health.
@@ -415,10 +417,19 @@ fn credential(folder: &Path) -> impl Fn(&mut PathBuf) {
     }
 }
 
+/// Checks that an axis that a table names is there; where there is only one it need not be named.
+fn check_axis(table: &str, name: &str, axes: &[AxisConfig]) -> Result<(), String> {
+    if axes.iter().any(|axis| axis.axis == name) || name.is_empty() && axes.len() == 1 {
+        return Ok(());
+    }
+    let names: Vec<&str> = axes.iter().map(|axis| axis.axis.as_str()).collect();
+    Err(format!("{table}.axis is `{}`; the axes are {}", name.escape_debug(), names.join(", ")))
+}
+
 impl SinksConfig {
     /// The tables' names: every field.
     pub(super) const KEYS: &[&'static str] =
-        &["http", "mqtt", "can_out", "recording", "influx", "sparkplug", "opentelemetry"];
+        &["http", "mqtt", "can_out", "recording", "influx", "sparkplug", "opentelemetry", "foxglove"];
 
     /// Checks the tables beside the axes that they tell of.
     ///
@@ -430,13 +441,10 @@ impl SinksConfig {
         self.influx.as_ref().map_or(Ok(()), InfluxConfig::check)?;
         self.sparkplug.as_ref().map_or(Ok(()), SparkplugConfig::check)?;
         self.opentelemetry.as_ref().map_or(Ok(()), OpenTelemetryConfig::check)?;
+        self.foxglove.as_ref().map_or(Ok(()), FoxgloveConfig::check)?;
         for frame in &self.can_out {
             frame.check()?;
-            let known = axes.iter().any(|axis| axis.axis == frame.axis);
-            if !(known || frame.axis.is_empty() && axes.len() == 1) {
-                let names: Vec<&str> = axes.iter().map(|axis| axis.axis.as_str()).collect();
-                return Err(format!("can_out.axis is `{}`; the axes are {}", frame.axis, names.join(", ")));
-            }
+            check_axis("can_out", &frame.axis, axes)?;
         }
         if let Some(http) = &self.http {
             if !http.listen.ip().is_loopback() && http.token_file.is_none() {
@@ -456,6 +464,11 @@ impl SinksConfig {
                     mqtt.port()
                 ));
             }
+        }
+        if let (Some(http), Some(foxglove)) = (&self.http, &self.foxglove)
+            && http.listen == foxglove.listen
+        {
+            return Err(format!("http.listen and foxglove.listen are both {}", http.listen));
         }
         for (index, frame) in self.can_out.iter().enumerate() {
             let twin = |other: &&CanOutConfig| other.interface == frame.interface && other.id == frame.id;
@@ -498,6 +511,9 @@ impl SinksConfig {
         if let Some(telemetry) = &mut self.opentelemetry {
             place(&mut telemetry.ca_file);
             telemetry.token_file.iter_mut().for_each(credential(folder));
+        }
+        if let Some(foxglove) = &mut self.foxglove {
+            foxglove.token_file.iter_mut().for_each(credential(folder));
         }
         if let Some(recording) = &mut self.recording {
             recording.folder.iter_mut().for_each(place);

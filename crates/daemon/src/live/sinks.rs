@@ -12,12 +12,14 @@ use tokio::time::{sleep, timeout};
 use super::stamps::{Stamps, stamps};
 use super::{Daemon, ENDING, RETRY_DISK, end_task};
 use crate::config::{
-    CanOutConfig, DaemonConfig, HttpConfig, InfluxConfig, MqttConfig, OpenTelemetryConfig, RecordingConfig,
-    SparkplugConfig,
+    CanOutConfig, DaemonConfig, FoxgloveConfig, HttpConfig, InfluxConfig, MqttConfig, OpenTelemetryConfig,
+    RecordingConfig, SparkplugConfig,
 };
 use crate::failure::{Code, Failure};
 use crate::hub::Hub;
 use crate::sink::can::{self, Layout};
+#[cfg(feature = "foxglove")]
+use crate::sink::foxglove;
 use crate::sink::http::{self, Http};
 use crate::sink::influx;
 #[cfg(feature = "sparkplug")]
@@ -40,6 +42,7 @@ pub(super) enum SinkConfig {
     Influx(InfluxConfig),
     Sparkplug(SparkplugConfig),
     OpenTelemetry(OpenTelemetryConfig),
+    Foxglove(FoxgloveConfig),
 }
 
 /// Why this build cannot serve a sink that was left out of it.
@@ -47,6 +50,7 @@ fn left_out(config: &SinkConfig) -> Option<String> {
     let feature = match config {
         SinkConfig::Sparkplug(_) if cfg!(not(feature = "sparkplug")) => "sparkplug",
         SinkConfig::OpenTelemetry(_) if cfg!(not(feature = "opentelemetry")) => "opentelemetry",
+        SinkConfig::Foxglove(_) if cfg!(not(feature = "foxglove")) => "foxglove",
         _ => return None,
     };
     let name = config.name();
@@ -69,6 +73,7 @@ impl SinkConfig {
             SinkConfig::Influx(_) => influx::SINK.into(),
             SinkConfig::Sparkplug(_) => "sparkplug".into(),
             SinkConfig::OpenTelemetry(_) => "opentelemetry".into(),
+            SinkConfig::Foxglove(_) => "foxglove".into(),
         }
     }
 
@@ -86,6 +91,7 @@ impl SinkConfig {
                 let own = [&node.password_file, &node.certificate_file, &node.key_file].map(Option::as_ref);
                 [ca_file, own[0], own[1], own[2]]
             }
+            SinkConfig::Foxglove(foxglove) => [foxglove.token_file.as_ref(), None, None, None],
             SinkConfig::OpenTelemetry(telemetry) => {
                 let is_https = telemetry.place().is_ok_and(|place| place.tls);
                 [Some(&telemetry.ca_file).filter(|_| is_https), telemetry.token_file.as_ref(), None, None]
@@ -130,6 +136,10 @@ pub(super) fn check_sink(config: &SinkConfig) -> Result<(), Failure> {
         SinkConfig::OpenTelemetry(telemetry) => Exporter::new(telemetry, Hub::new("check".into())).map(drop),
         #[cfg(not(feature = "opentelemetry"))]
         SinkConfig::OpenTelemetry(_) => Ok(()),
+        #[cfg(feature = "foxglove")]
+        SinkConfig::Foxglove(foxglove) => foxglove::Server::new(foxglove, Hub::new("check".into())).map(drop),
+        #[cfg(not(feature = "foxglove"))]
+        SinkConfig::Foxglove(_) => Ok(()),
         SinkConfig::Recording(..) | SinkConfig::Influx(_) => Ok(()),
     }
 }
@@ -138,12 +148,13 @@ pub(super) fn sink_configs(config: &DaemonConfig) -> Vec<SinkConfig> {
     let names: Vec<String> = config.axes.iter().map(|axis| axis.axis.clone()).collect();
     let sinks = config.sinks.clone();
     let recording = sinks.recording.map(|recording| SinkConfig::Recording(recording, names.clone()));
+    // Where there is only one axis it need not be named.
+    let axis = |named: &str| match named {
+        "" => names.first().cloned().unwrap_or_default(),
+        named => named.to_owned(),
+    };
     let can = sinks.can_out.into_iter().map(|frame| {
-        let axis = if frame.axis.is_empty() {
-            names.first().cloned().unwrap_or_default()
-        } else {
-            frame.axis.clone()
-        };
+        let axis = axis(&frame.axis);
         SinkConfig::Can(frame, axis)
     });
     let http = sinks.http.map(SinkConfig::Http);
@@ -151,7 +162,8 @@ pub(super) fn sink_configs(config: &DaemonConfig) -> Vec<SinkConfig> {
     let influx = sinks.influx.map(SinkConfig::Influx);
     let sparkplug = sinks.sparkplug.map(SinkConfig::Sparkplug);
     let telemetry = sinks.opentelemetry.map(SinkConfig::OpenTelemetry);
-    let one_each = [recording, http, mqtt, influx, sparkplug, telemetry];
+    let foxglove = sinks.foxglove.map(SinkConfig::Foxglove);
+    let one_each = [recording, http, mqtt, influx, sparkplug, telemetry, foxglove];
     one_each.into_iter().flatten().chain(can).collect()
 }
 
@@ -213,13 +225,17 @@ impl Daemon {
             SinkConfig::OpenTelemetry(telemetry) => {
                 Ending::Task(tokio::spawn(Exporter::new(telemetry, hub)?.run(stopped)))
             }
+            #[cfg(feature = "foxglove")]
+            SinkConfig::Foxglove(config) => {
+                Ending::Task(tokio::spawn(foxglove::Server::new(config, hub)?.run(stopped)))
+            }
             SinkConfig::Recording(recording, axes) => {
                 let folder = recording.folder.clone().unwrap_or_else(|| self.state_folder.join("recordings"));
                 let (recorder, thread) = recording::start(recording, &folder, axes.clone(), hub)?;
                 self.recorder.send_replace(Some(recorder.clone()));
                 Ending::Thread(recorder, thread)
             }
-            #[cfg(not(all(feature = "opentelemetry", feature = "sparkplug")))]
+            #[cfg(not(all(feature = "foxglove", feature = "opentelemetry", feature = "sparkplug")))]
             other => {
                 return Err(Failure::new(Code::Configuration, left_out(other).unwrap_or_default()));
             }

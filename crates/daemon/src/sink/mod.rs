@@ -4,6 +4,8 @@
 pub mod can;
 pub mod csv;
 pub mod evaluation;
+#[cfg(feature = "foxglove")]
+pub mod foxglove;
 pub mod html;
 #[cfg(feature = "live")]
 pub mod http;
