@@ -365,8 +365,8 @@ impl Companion {
     }
 
     /// Tells it to do something.
-    pub(crate) fn say(&mut self, word: &str) {
-        writeln!(self.child.stdin.as_mut().unwrap(), "{word}").unwrap();
+    pub(crate) fn say(&self, word: &str) {
+        writeln!(self.child.stdin.as_ref().unwrap(), "{word}").unwrap();
     }
 }
 

@@ -21,6 +21,11 @@ use crate::sink::can::{self, Layout};
 #[cfg(feature = "foxglove")]
 use crate::sink::foxglove;
 use crate::sink::influx;
+#[cfg(feature = "j1939")]
+use crate::sink::j1939;
+#[cfg(feature = "sparkplug")]
+use crate::sink::mqtt::sparkplug;
+use crate::sink::mqtt::{self, Broker};
 #[cfg(feature = "opentelemetry")]
 use crate::sink::opentelemetry;
 use crate::sink::recording;
@@ -34,7 +39,7 @@ const PATIENCE: Duration = Duration::from_secs(10);
 /// MQTT gets a message on PREFIX/AXIS/test that the broker must confirm; CAN the configured frame with the flag severe and no estimate,
 /// which no real leak gives; the recording a file with the test; InfluxDB a line of a measurement of its own, which nobody
 /// confirms; for Sparkplug B a node NODE-test is born and dies; OpenTelemetry's endpoint
-/// must accept a gauge `seepd_test`. For HTTP and Foxglove, the port must answer or be free.
+/// must accept a gauge `seepd_test`. On J1939 a DM1 with FMI 31 is sent. For HTTP and Foxglove, the port must answer or be free.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd test-sinks --config /etc/seepd/seepd.toml")]
 pub struct TestSinksArguments {
@@ -100,6 +105,10 @@ async fn test_all(config: &DaemonConfig) -> Vec<SinkTest> {
     }
     for frame in &config.sinks.can_out {
         note(can::sink_name(frame), test_can(frame, &axis));
+    }
+    #[cfg(feature = "j1939")]
+    for speaker in &config.sinks.j1939 {
+        note(j1939::sink_name(speaker), j1939::test(speaker).await);
     }
     if let Some(recording) = &config.sinks.recording {
         note(recording::SINK.into(), test_recording(recording, config, &axis).await);

@@ -17,7 +17,7 @@ pub use axis::{
     SourceConfig, embedded_model, load_model,
 };
 pub use endpoint::Endpoint;
-pub use plant::{FoxgloveConfig, OpenTelemetryConfig, SparkplugConfig};
+pub use plant::{FoxgloveConfig, J1939Config, OpenTelemetryConfig, SparkplugConfig};
 pub use sinks::{
     CanOutConfig, CanOutField, CanValue, HttpConfig, InfluxConfig, MqttConfig, MqttVersion, RecordingConfig,
     SinksConfig,

@@ -1,4 +1,4 @@
-//! Tables of the plant's further languages, each a feature of the build: Sparkplug B, OpenTelemetry, Foxglove.
+//! Tables of the plant's further languages, each a feature of the build: Sparkplug B, OpenTelemetry, Foxglove, J1939.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -173,5 +173,76 @@ impl FoxgloveConfig {
             "foxglove.listen is {}, which others can reach: name a file with a token in foxglove.token_file",
             self.listen
         ))
+    }
+}
+
+/// `[[j1939]]`: an axis's diagnostic messages on a CAN bus.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct J1939Config {
+    /// Interface; `unix:PATH` speaks to a Unix datagram socket.
+    pub interface: String,
+    /// Axis; empty: the only one.
+    pub axis: String,
+    /// Source address, 0 … 253.
+    pub address: u8,
+    /// Suspect parameter number of the seal's leak; the 16 after it are causes and a missing command. From 516096 on they are free.
+    pub spn: u32,
+    /// Number that tells this device from others in its name, 0 … 2097151; absent: made of the axis's name.
+    pub identity: Option<u32>,
+    /// Manufacturer's code in the name, 0 … 2047.
+    pub manufacturer: u16,
+}
+
+impl Default for J1939Config {
+    fn default() -> Self {
+        J1939Config {
+            interface: String::new(),
+            axis: String::new(),
+            address: 0x80,
+            spn: 516_096,
+            identity: None,
+            manufacturer: 2047,
+        }
+    }
+}
+
+/// Largest suspect parameter number, of 19 bits.
+const LAST_SPN: u32 = (1 << 19) - 1;
+/// Numbers that an axis takes.
+const SPNS: u32 = 17;
+
+impl J1939Config {
+    /// Its 64 bits of J1939-81: identity, manufacturer, function and vehicle system "not available", industry group 5 (process control), and
+    /// an address that it does not change by itself. A smaller one has precedence.
+    pub fn name(&self) -> u64 {
+        // FNV-1a: any number that stays the same will do.
+        let mix = |hash: u32, byte: u8| (hash ^ u32::from(byte)).wrapping_mul(16_777_619);
+        let own = || self.axis.bytes().fold(2_166_136_261, mix) & 0x1f_ffff;
+        let identity = u64::from(self.identity.unwrap_or_else(own));
+        identity | u64::from(self.manufacturer) << 21 | 0xff << 40 | 0x7f << 49 | 5 << 60
+    }
+
+    pub(super) fn check(&self) -> Result<(), String> {
+        if self.interface.is_empty() {
+            return Err("j1939.interface is missing".into());
+        }
+        if self.address > 253 {
+            return Err(format!("j1939.address is {}; it must lie in 0 … 253", self.address));
+        }
+        if !(1..=LAST_SPN - SPNS + 1).contains(&self.spn) {
+            let last = LAST_SPN - SPNS + 1;
+            return Err(format!(
+                "j1939.spn is {}; it must lie in 1 … {last}, as the {SPNS} from it on are taken",
+                self.spn
+            ));
+        }
+        if let Some(identity) = self.identity.filter(|identity| *identity > 0x1f_ffff) {
+            return Err(format!("j1939.identity is {identity}; it must lie in 0 … 2097151"));
+        }
+        if self.manufacturer > 2047 {
+            return Err(format!("j1939.manufacturer is {}; it must lie in 0 … 2047", self.manufacturer));
+        }
+        Ok(())
     }
 }

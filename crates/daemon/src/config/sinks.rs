@@ -8,7 +8,7 @@ use seepd_logs::identifier;
 use serde::{Deserialize, Serialize};
 
 use super::AxisConfig;
-use super::plant::{FoxgloveConfig, OpenTelemetryConfig, SparkplugConfig};
+use super::plant::{FoxgloveConfig, J1939Config, OpenTelemetryConfig, SparkplugConfig};
 
 /// The tables that are the daemon's, not an axis's.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -30,6 +30,8 @@ pub struct SinksConfig {
     pub opentelemetry: Option<OpenTelemetryConfig>,
     /// Foxglove's WebSocket.
     pub foxglove: Option<FoxgloveConfig>,
+    /// Diagnostic messages of J1939.
+    pub j1939: Vec<J1939Config>,
 }
 
 /// `[http]`: dashboard, JSON, metrics, health.
@@ -428,8 +430,17 @@ fn check_axis(table: &str, name: &str, axes: &[AxisConfig]) -> Result<(), String
 
 impl SinksConfig {
     /// The tables' names: every field.
-    pub(super) const KEYS: &[&'static str] =
-        &["http", "mqtt", "can_out", "recording", "influx", "sparkplug", "opentelemetry", "foxglove"];
+    pub(super) const KEYS: &[&'static str] = &[
+        "http",
+        "mqtt",
+        "can_out",
+        "recording",
+        "influx",
+        "sparkplug",
+        "opentelemetry",
+        "foxglove",
+        "j1939",
+    ];
 
     /// Checks the tables beside the axes that they tell of.
     ///
@@ -445,6 +456,17 @@ impl SinksConfig {
         for frame in &self.can_out {
             frame.check()?;
             check_axis("can_out", &frame.axis, axes)?;
+        }
+        for (index, speaker) in self.j1939.iter().enumerate() {
+            speaker.check()?;
+            check_axis("j1939", &speaker.axis, axes)?;
+            let twin = |other: &&J1939Config| {
+                other.interface == speaker.interface && other.address == speaker.address
+            };
+            if self.j1939.iter().skip(index + 1).any(|other| twin(&other)) {
+                let J1939Config { interface, address, .. } = speaker;
+                return Err(format!("j1939: two axes have the address {address:#04x} on {interface}"));
+            }
         }
         if let Some(http) = &self.http {
             if !http.listen.ip().is_loopback() && http.token_file.is_none() {

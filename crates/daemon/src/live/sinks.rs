@@ -12,8 +12,8 @@ use tokio::time::{sleep, timeout};
 use super::stamps::{Stamps, stamps};
 use super::{Daemon, ENDING, RETRY_DISK, end_task};
 use crate::config::{
-    CanOutConfig, DaemonConfig, FoxgloveConfig, HttpConfig, InfluxConfig, MqttConfig, OpenTelemetryConfig,
-    RecordingConfig, SparkplugConfig,
+    CanOutConfig, DaemonConfig, FoxgloveConfig, HttpConfig, InfluxConfig, J1939Config, MqttConfig,
+    OpenTelemetryConfig, RecordingConfig, SparkplugConfig,
 };
 use crate::failure::{Code, Failure};
 use crate::hub::Hub;
@@ -22,6 +22,8 @@ use crate::sink::can::{self, Layout};
 use crate::sink::foxglove;
 use crate::sink::http::{self, Http};
 use crate::sink::influx;
+#[cfg(feature = "j1939")]
+use crate::sink::j1939;
 #[cfg(feature = "sparkplug")]
 use crate::sink::mqtt::sparkplug::Node;
 use crate::sink::mqtt::{self, Broker};
@@ -43,6 +45,7 @@ pub(super) enum SinkConfig {
     Sparkplug(SparkplugConfig),
     OpenTelemetry(OpenTelemetryConfig),
     Foxglove(FoxgloveConfig),
+    J1939(J1939Config, String),
 }
 
 /// Why this build cannot serve a sink that was left out of it.
@@ -51,6 +54,7 @@ fn left_out(config: &SinkConfig) -> Option<String> {
         SinkConfig::Sparkplug(_) if cfg!(not(feature = "sparkplug")) => "sparkplug",
         SinkConfig::OpenTelemetry(_) if cfg!(not(feature = "opentelemetry")) => "opentelemetry",
         SinkConfig::Foxglove(_) if cfg!(not(feature = "foxglove")) => "foxglove",
+        SinkConfig::J1939(..) if cfg!(not(feature = "j1939")) => "j1939",
         _ => return None,
     };
     let name = config.name();
@@ -74,6 +78,7 @@ impl SinkConfig {
             SinkConfig::Sparkplug(_) => "sparkplug".into(),
             SinkConfig::OpenTelemetry(_) => "opentelemetry".into(),
             SinkConfig::Foxglove(_) => "foxglove".into(),
+            SinkConfig::J1939(speaker, _) => format!("j1939 {} {:02X}", speaker.interface, speaker.address),
         }
     }
 
@@ -96,7 +101,10 @@ impl SinkConfig {
                 let is_https = telemetry.place().is_ok_and(|place| place.tls);
                 [Some(&telemetry.ca_file).filter(|_| is_https), telemetry.token_file.as_ref(), None, None]
             }
-            SinkConfig::Can(..) | SinkConfig::Recording(..) | SinkConfig::Influx(_) => [None; 4],
+            SinkConfig::Can(..)
+            | SinkConfig::Recording(..)
+            | SinkConfig::Influx(_)
+            | SinkConfig::J1939(..) => [None; 4],
         };
         files.into_iter().flatten()
     }
@@ -140,7 +148,7 @@ pub(super) fn check_sink(config: &SinkConfig) -> Result<(), Failure> {
         SinkConfig::Foxglove(foxglove) => foxglove::Server::new(foxglove, Hub::new("check".into())).map(drop),
         #[cfg(not(feature = "foxglove"))]
         SinkConfig::Foxglove(_) => Ok(()),
-        SinkConfig::Recording(..) | SinkConfig::Influx(_) => Ok(()),
+        SinkConfig::Recording(..) | SinkConfig::Influx(_) | SinkConfig::J1939(..) => Ok(()),
     }
 }
 
@@ -157,6 +165,10 @@ pub(super) fn sink_configs(config: &DaemonConfig) -> Vec<SinkConfig> {
         let axis = axis(&frame.axis);
         SinkConfig::Can(frame, axis)
     });
+    let j1939 = sinks.j1939.into_iter().map(|speaker| {
+        let axis = axis(&speaker.axis);
+        SinkConfig::J1939(J1939Config { axis: axis.clone(), ..speaker }, axis)
+    });
     let http = sinks.http.map(SinkConfig::Http);
     let mqtt = sinks.mqtt.map(SinkConfig::Mqtt);
     let influx = sinks.influx.map(SinkConfig::Influx);
@@ -164,7 +176,7 @@ pub(super) fn sink_configs(config: &DaemonConfig) -> Vec<SinkConfig> {
     let telemetry = sinks.opentelemetry.map(SinkConfig::OpenTelemetry);
     let foxglove = sinks.foxglove.map(SinkConfig::Foxglove);
     let one_each = [recording, http, mqtt, influx, sparkplug, telemetry, foxglove];
-    one_each.into_iter().flatten().chain(can).collect()
+    one_each.into_iter().flatten().chain(can).chain(j1939).collect()
 }
 
 impl Daemon {
@@ -229,13 +241,23 @@ impl Daemon {
             SinkConfig::Foxglove(config) => {
                 Ending::Task(tokio::spawn(foxglove::Server::new(config, hub)?.run(stopped)))
             }
+            #[cfg(feature = "j1939")]
+            SinkConfig::J1939(speaker, axis) => {
+                let speaker = j1939::Speaker::new(speaker.clone(), axis.clone(), hub);
+                Ending::Task(tokio::spawn(speaker.run(stopped)))
+            }
             SinkConfig::Recording(recording, axes) => {
                 let folder = recording.folder.clone().unwrap_or_else(|| self.state_folder.join("recordings"));
                 let (recorder, thread) = recording::start(recording, &folder, axes.clone(), hub)?;
                 self.recorder.send_replace(Some(recorder.clone()));
                 Ending::Thread(recorder, thread)
             }
-            #[cfg(not(all(feature = "foxglove", feature = "opentelemetry", feature = "sparkplug")))]
+            #[cfg(not(all(
+                feature = "foxglove",
+                feature = "j1939",
+                feature = "opentelemetry",
+                feature = "sparkplug"
+            )))]
             other => {
                 return Err(Failure::new(Code::Configuration, left_out(other).unwrap_or_default()));
             }

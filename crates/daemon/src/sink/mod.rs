@@ -11,6 +11,8 @@ pub mod html;
 pub mod http;
 #[cfg(feature = "live")]
 pub mod influx;
+#[cfg(feature = "j1939")]
+pub mod j1939;
 pub mod json;
 pub mod mcap;
 #[cfg(feature = "live")]
