@@ -57,8 +57,7 @@ fn left_out(config: &SinkConfig) -> Option<String> {
         SinkConfig::J1939(..) if cfg!(not(feature = "j1939")) => "j1939",
         _ => return None,
     };
-    let name = config.name();
-    Some(format!("{name}: this build of seepd does not speak it; build one with the feature `{feature}`"))
+    Some(format!("this build of seepd does not speak it; build one with the feature `{feature}`"))
 }
 
 /// Names of the configured sinks that were left out of this build, and what to do.
@@ -132,8 +131,8 @@ pub fn check_sinks(config: &DaemonConfig) -> Result<(), Failure> {
 }
 
 pub(super) fn check_sink(config: &SinkConfig) -> Result<(), Failure> {
-    if let Some(message) = left_out(config) {
-        return Err(Failure::new(Code::Configuration, message));
+    if let Some(what) = left_out(config) {
+        return Err(Failure::new(Code::Configuration, format!("{}: {what}", config.name())));
     }
     match config {
         SinkConfig::Http(http) => http::token(http).map(drop),
