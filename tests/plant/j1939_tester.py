@@ -31,7 +31,6 @@ def send(can_id, extended_id, data, fd_format=False):
 ecu = j1939.ElectronicControlUnit(send_message=send)
 tester = j1939.ControllerApplication(j1939.Name(identity_number=1), 0xF9, bypass_address_claim=True)
 ecu.add_ca(controller_application=tester)
-parser = j1939.DTC
 
 
 def codes(data):
