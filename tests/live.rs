@@ -252,7 +252,7 @@ fn events_wait_for_a_broker_that_is_away_and_arrive_in_order() {
 }
 
 /// Makes an authority, a certificate for localhost and a password; the lines by which mosquitto asks for them.
-fn secure_broker(folder: &Path) -> String {
+pub(crate) fn secure_broker(folder: &Path) -> String {
     let place = |name: &str| folder.join(name).display().to_string();
     let run = |program: &str, arguments: &[&str]| {
         let output = Command::new(program).args(arguments).output().unwrap();
@@ -812,6 +812,28 @@ fn configurations_that_cannot_work_are_refused_before_the_start() {
         ("[influx]\nudp = \"nowhere\"\n", "influx.udp is `nowhere`"),
         ("[influx]\nmeasurement = \"a b\"\n", "influx.measurement is `a b`"),
         ("[influx]\nperiod_s = 0.0\n", "influx.period_s is 0"),
+        ("[[j1939]]\n", "j1939.interface is missing"),
+        ("[[j1939]]\ninterface = \"can0\"\naddress = 254\n", "j1939.address is 254"),
+        ("[[j1939]]\ninterface = \"can0\"\nspn = 524280\n", "j1939.spn is 524280"),
+        ("[[j1939]]\ninterface = \"can0\"\naxis = \"b\\nc\"\n", "j1939.axis is `b\\nc`"),
+        (
+            "[[j1939]]\ninterface = \"can0\"\n[[j1939]]\ninterface = \"can0\"\n",
+            "two axes have the address 0x80",
+        ),
+        ("[foxglove]\nlisten = \"0.0.0.0:8765\"\n", "foxglove.token_file"),
+        ("[http]\nlisten = \"127.0.0.1:8765\"\n[foxglove]\n", "http.listen and foxglove.listen are both"),
+        ("[opentelemetry]\nendpoint = \"localhost:4318\"\n", "opentelemetry.endpoint is `localhost:4318`"),
+        (
+            "[opentelemetry]\nendpoint = \"http://a/\\r\\nX: y\"\n",
+            "opentelemetry.endpoint is `http://a/\\r\\nX: y`",
+        ),
+        ("[opentelemetry]\nperiod_s = 0.5\n", "opentelemetry.period_s is 0.5"),
+        ("[opentelemetry]\nservice_name = \"<b>\"\n", "opentelemetry.service_name is `<b>`"),
+        ("[opentelemetry]\ntoken_file = \"nowhere\"\n", "nowhere"),
+        ("[sparkplug]\nnode = \"a\"\n", "sparkplug.group is missing"),
+        ("[sparkplug]\ngroup = \"a\"\nnode = \"b/c\"\n", "sparkplug.node is `b/c`"),
+        ("[sparkplug]\ngroup = \"+\"\nnode = \"b\"\n", "sparkplug.group is `+`"),
+        ("[sparkplug]\ngroup = \"a\"\nnode = \"b\"\nhost = \"\"\n", "sparkplug.host is empty"),
         ("energy = { price_per_kwh = -1.0 }\n", "energy.price_per_kwh is -1"),
         ("energy = { price_per_kwh = 0.2, currency = \"\" }\n", "energy.currency"),
         ("[[can_out]]\ninterface = \"can0\"\nlength = 9\n", "can_out.length"),

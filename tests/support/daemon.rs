@@ -330,6 +330,53 @@ impl Drop for Mosquitto {
     }
 }
 
+/// A script of tests/plant that takes part as another implementation would, and prints a line of JSON for all that it hears.
+pub(crate) struct Companion {
+    child: Child,
+    file: PathBuf,
+}
+
+impl Companion {
+    /// Starts it; what it prints goes to a file in the folder.
+    pub(crate) fn start(mut python: Command, script: &str, folder: &Path, arguments: &[&str]) -> Self {
+        let scripts = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/plant");
+        let file = folder.join(format!("{script}.jsonl"));
+        let child = python
+            .arg(scripts.join(script))
+            .args(arguments)
+            .stdin(Stdio::piped())
+            .stdout(fs::File::create(&file).unwrap())
+            .spawn()
+            .unwrap();
+        Companion { child, file }
+    }
+
+    /// All that it has heard so far.
+    pub(crate) fn heard(&self) -> Vec<Value> {
+        let text = fs::read_to_string(&self.file).unwrap();
+        let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+        whole.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+
+    /// Sends it a signal by name.
+    pub(crate) fn signal(&self, name: &str) {
+        let sent = Command::new("kill").args([&format!("-{name}"), &self.child.id().to_string()]).status();
+        assert!(sent.unwrap().success());
+    }
+
+    /// Tells it to do something.
+    pub(crate) fn say(&self, word: &str) {
+        writeln!(self.child.stdin.as_ref().unwrap(), "{word}").unwrap();
+    }
+}
+
+impl Drop for Companion {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
 /// A mosquitto_sub.
 pub(crate) struct Listener {
     child: Child,

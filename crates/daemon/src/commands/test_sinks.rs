@@ -15,11 +15,19 @@ use crate::clock::Clock;
 use crate::config::{CanOutConfig, DaemonConfig, HttpConfig, MqttConfig, RecordingConfig};
 use crate::failure::{Code, Failure};
 use crate::hub::{AxisStatus, Hub, Kind};
-use crate::live::state_folder;
+use crate::live::{sinks_left_out, state_folder};
 use crate::private_folder::PrivateFolder;
 use crate::sink::can::{self, Layout};
+#[cfg(feature = "foxglove")]
+use crate::sink::foxglove;
 use crate::sink::influx;
+#[cfg(feature = "j1939")]
+use crate::sink::j1939;
+#[cfg(feature = "sparkplug")]
+use crate::sink::mqtt::sparkplug;
 use crate::sink::mqtt::{self, Broker};
+#[cfg(feature = "opentelemetry")]
+use crate::sink::opentelemetry;
 use crate::sink::recording;
 use crate::sink::terminal::print;
 
@@ -30,7 +38,8 @@ const PATIENCE: Duration = Duration::from_secs(10);
 ///
 /// MQTT gets a message on PREFIX/AXIS/test that the broker must confirm; CAN the configured frame with the flag severe and no estimate,
 /// which no real leak gives; the recording a file with the test; InfluxDB a line of a measurement of its own, which nobody
-/// confirms. For HTTP, the port must answer or be free.
+/// confirms; for Sparkplug B a node NODE-test is born and dies; OpenTelemetry's endpoint
+/// must accept a gauge `seepd_test`. On J1939 a DM1 with FMI 31 is sent. For HTTP and Foxglove, the port must answer or be free.
 #[derive(Debug, Args)]
 #[command(after_help = "Example:\n  seepd test-sinks --config /etc/seepd/seepd.toml")]
 pub struct TestSinksArguments {
@@ -88,17 +97,36 @@ async fn test_all(config: &DaemonConfig) -> Vec<SinkTest> {
         let message = result.unwrap_or_else(|message| message);
         verdicts.push(SinkTest { schema: "seepd.sink_test/1", sink, good, message });
     };
+    for (sink, message) in sinks_left_out(config) {
+        note(sink, Err(message));
+    }
     if let Some(mqtt) = &config.sinks.mqtt {
         note(mqtt::SINK.into(), test_mqtt(mqtt, &axis).await);
     }
     for frame in &config.sinks.can_out {
         note(can::sink_name(frame), test_can(frame, &axis));
     }
+    #[cfg(feature = "j1939")]
+    for speaker in &config.sinks.j1939 {
+        note(j1939::sink_name(speaker), j1939::test(speaker).await);
+    }
     if let Some(recording) = &config.sinks.recording {
         note(recording::SINK.into(), test_recording(recording, config, &axis).await);
     }
     if let Some(influx) = &config.sinks.influx {
         note(influx::SINK.into(), influx::test(influx, &axis).await);
+    }
+    #[cfg(feature = "sparkplug")]
+    if let Some(node) = &config.sinks.sparkplug {
+        note(sparkplug::SINK.into(), sparkplug::test(node, PATIENCE).await);
+    }
+    #[cfg(feature = "opentelemetry")]
+    if let Some(telemetry) = &config.sinks.opentelemetry {
+        note(opentelemetry::SINK.into(), opentelemetry::test(telemetry, &axis).await);
+    }
+    #[cfg(feature = "foxglove")]
+    if let Some(config) = &config.sinks.foxglove {
+        note(foxglove::SINK.into(), foxglove::test(config).await);
     }
     if let Some(http) = &config.sinks.http {
         note("http".into(), test_http(http).await);

@@ -1,6 +1,8 @@
 //! `seepd.toml`: the axes, and for the daemon the sinks and where its state is kept.
 
 mod axis;
+mod endpoint;
+mod plant;
 mod sinks;
 
 use std::path::{Path, PathBuf};
@@ -14,6 +16,8 @@ pub use axis::{
     AxisConfig, BaselineConfig, DutyCycleConfig, EnergyConfig, KindConfig, Money, MonitorKind, Pace,
     SourceConfig, embedded_model, load_model,
 };
+pub use endpoint::Endpoint;
+pub use plant::{FoxgloveConfig, J1939Config, OpenTelemetryConfig, SparkplugConfig};
 pub use sinks::{
     CanOutConfig, CanOutField, CanValue, HttpConfig, InfluxConfig, MqttConfig, MqttVersion, RecordingConfig,
     SinksConfig,

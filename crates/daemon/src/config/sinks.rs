@@ -8,6 +8,7 @@ use seepd_logs::identifier;
 use serde::{Deserialize, Serialize};
 
 use super::AxisConfig;
+use super::plant::{FoxgloveConfig, J1939Config, OpenTelemetryConfig, SparkplugConfig};
 
 /// The tables that are the daemon's, not an axis's.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -23,6 +24,14 @@ pub struct SinksConfig {
     pub recording: Option<RecordingConfig>,
     /// InfluxDB's line protocol.
     pub influx: Option<InfluxConfig>,
+    /// Sparkplug B.
+    pub sparkplug: Option<SparkplugConfig>,
+    /// OpenTelemetry.
+    pub opentelemetry: Option<OpenTelemetryConfig>,
+    /// Foxglove's WebSocket.
+    pub foxglove: Option<FoxgloveConfig>,
+    /// Diagnostic messages of J1939.
+    pub j1939: Vec<J1939Config>,
 }
 
 /// `[http]`: dashboard, JSON, metrics, health.
@@ -47,6 +56,11 @@ impl HttpConfig {
         let what = "anybody who is logged in to this machine can read the page and give orders";
         self.token_file.is_none().then(|| format!("http: there is no token_file: {what}"))
     }
+}
+
+/// Whether a host is this machine.
+pub(super) fn is_local(host: &str) -> bool {
+    host == "localhost" || host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
 }
 
 /// Versions of MQTT.
@@ -121,20 +135,32 @@ impl MqttConfig {
 
     /// Whether the broker is on this machine.
     fn is_local(&self) -> bool {
-        self.host == "localhost" || self.host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+        is_local(&self.host)
     }
 
-    /// What is allowed and should be known.
-    fn remark(&self) -> Option<String> {
+    /// What of the connection is allowed and should be known; `table` names it.
+    fn remark(&self, table: &str) -> Option<String> {
         let readable = self.password_file.is_some() && !self.tls && !self.is_local();
         let what = "anybody on the way to the broker can read the password";
-        readable.then(|| format!("mqtt: there is a password_file, but no tls: {what}"))
+        readable.then(|| format!("{table}: there is a password_file, but no tls: {what}"))
+    }
+
+    /// Checks what any connection to a broker has; `table` names it.
+    pub(super) fn check_connection(&self, table: &str) -> Result<(), String> {
+        if self.host.is_empty() {
+            return Err(format!("{table}.host is empty"));
+        }
+        if self.certificate_file.is_some() != self.key_file.is_some() {
+            return Err(format!("{table}: certificate_file and key_file must be given together"));
+        }
+        if self.password_file.is_some() && self.username.is_none() {
+            return Err(format!("{table}.password_file is given, but no username"));
+        }
+        Ok(())
     }
 
     fn check(&self) -> Result<(), String> {
-        if self.host.is_empty() {
-            return Err("mqtt.host is empty".into());
-        }
+        self.check_connection("mqtt")?;
         let wrong = |c: char| ['#', '+'].contains(&c) || c.is_control();
         if self.prefix.is_empty() || self.prefix.contains(wrong) || self.prefix.starts_with('$') {
             return Err(format!(
@@ -151,12 +177,6 @@ impl MqttConfig {
         }
         if !(1..=1_000_000).contains(&self.spool_events) {
             return Err(format!("mqtt.spool_events is {}; it must lie in 1 … 1000000", self.spool_events));
-        }
-        if self.certificate_file.is_some() != self.key_file.is_some() {
-            return Err("mqtt: certificate_file and key_file must be given together".into());
-        }
-        if self.password_file.is_some() && self.username.is_none() {
-            return Err("mqtt.password_file is given, but no username".into());
         }
         Ok(())
     }
@@ -399,9 +419,28 @@ fn credential(folder: &Path) -> impl Fn(&mut PathBuf) {
     }
 }
 
+/// Checks that an axis that a table names is there; where there is only one it need not be named.
+fn check_axis(table: &str, name: &str, axes: &[AxisConfig]) -> Result<(), String> {
+    if axes.iter().any(|axis| axis.axis == name) || name.is_empty() && axes.len() == 1 {
+        return Ok(());
+    }
+    let names: Vec<&str> = axes.iter().map(|axis| axis.axis.as_str()).collect();
+    Err(format!("{table}.axis is `{}`; the axes are {}", name.escape_debug(), names.join(", ")))
+}
+
 impl SinksConfig {
     /// The tables' names: every field.
-    pub(super) const KEYS: &[&'static str] = &["http", "mqtt", "can_out", "recording", "influx"];
+    pub(super) const KEYS: &[&'static str] = &[
+        "http",
+        "mqtt",
+        "can_out",
+        "recording",
+        "influx",
+        "sparkplug",
+        "opentelemetry",
+        "foxglove",
+        "j1939",
+    ];
 
     /// Checks the tables beside the axes that they tell of.
     ///
@@ -411,12 +450,22 @@ impl SinksConfig {
         self.mqtt.as_ref().map_or(Ok(()), MqttConfig::check)?;
         self.recording.as_ref().map_or(Ok(()), RecordingConfig::check)?;
         self.influx.as_ref().map_or(Ok(()), InfluxConfig::check)?;
+        self.sparkplug.as_ref().map_or(Ok(()), SparkplugConfig::check)?;
+        self.opentelemetry.as_ref().map_or(Ok(()), OpenTelemetryConfig::check)?;
+        self.foxglove.as_ref().map_or(Ok(()), FoxgloveConfig::check)?;
         for frame in &self.can_out {
             frame.check()?;
-            let known = axes.iter().any(|axis| axis.axis == frame.axis);
-            if !(known || frame.axis.is_empty() && axes.len() == 1) {
-                let names: Vec<&str> = axes.iter().map(|axis| axis.axis.as_str()).collect();
-                return Err(format!("can_out.axis is `{}`; the axes are {}", frame.axis, names.join(", ")));
+            check_axis("can_out", &frame.axis, axes)?;
+        }
+        for (index, speaker) in self.j1939.iter().enumerate() {
+            speaker.check()?;
+            check_axis("j1939", &speaker.axis, axes)?;
+            let twin = |other: &&J1939Config| {
+                other.interface == speaker.interface && other.address == speaker.address
+            };
+            if self.j1939.iter().skip(index + 1).any(|other| twin(&other)) {
+                let J1939Config { interface, address, .. } = speaker;
+                return Err(format!("j1939: two axes have the address {address:#04x} on {interface}"));
             }
         }
         if let Some(http) = &self.http {
@@ -438,6 +487,11 @@ impl SinksConfig {
                 ));
             }
         }
+        if let (Some(http), Some(foxglove)) = (&self.http, &self.foxglove)
+            && http.listen == foxglove.listen
+        {
+            return Err(format!("http.listen and foxglove.listen are both {}", http.listen));
+        }
         for (index, frame) in self.can_out.iter().enumerate() {
             let twin = |other: &&CanOutConfig| other.interface == frame.interface && other.id == frame.id;
             if self.can_out.iter().skip(index + 1).any(|other| twin(&other)) {
@@ -453,7 +507,10 @@ impl SinksConfig {
     /// What is allowed and should be known.
     pub(super) fn remarks(&self) -> impl Iterator<Item = String> {
         let of_http = self.http.as_ref().and_then(HttpConfig::remark);
-        of_http.into_iter().chain(self.mqtt.as_ref().and_then(MqttConfig::remark))
+        let of_mqtt = self.mqtt.as_ref().and_then(|mqtt| mqtt.remark("mqtt"));
+        let of_sparkplug = self.sparkplug.as_ref().and_then(|node| node.connection().remark("sparkplug"));
+        let of_telemetry = self.opentelemetry.as_ref().and_then(OpenTelemetryConfig::remark);
+        of_http.into_iter().chain(of_mqtt).chain(of_sparkplug).chain(of_telemetry)
     }
 
     /// Takes paths as relative to the folder of the file.
@@ -467,6 +524,18 @@ impl SinksConfig {
             mqtt.password_file.iter_mut().for_each(credential(folder));
             mqtt.certificate_file.iter_mut().for_each(credential(folder));
             mqtt.key_file.iter_mut().for_each(credential(folder));
+        }
+        if let Some(node) = &mut self.sparkplug {
+            place(&mut node.ca_file);
+            let files = [&mut node.password_file, &mut node.certificate_file, &mut node.key_file];
+            files.into_iter().flatten().for_each(credential(folder));
+        }
+        if let Some(telemetry) = &mut self.opentelemetry {
+            place(&mut telemetry.ca_file);
+            telemetry.token_file.iter_mut().for_each(credential(folder));
+        }
+        if let Some(foxglove) = &mut self.foxglove {
+            foxglove.token_file.iter_mut().for_each(credential(folder));
         }
         if let Some(recording) = &mut self.recording {
             recording.folder.iter_mut().for_each(place);

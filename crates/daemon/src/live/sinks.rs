@@ -11,13 +11,24 @@ use tokio::time::{sleep, timeout};
 
 use super::stamps::{Stamps, stamps};
 use super::{Daemon, ENDING, RETRY_DISK, end_task};
-use crate::config::{CanOutConfig, DaemonConfig, HttpConfig, InfluxConfig, MqttConfig, RecordingConfig};
-use crate::failure::Failure;
+use crate::config::{
+    CanOutConfig, DaemonConfig, FoxgloveConfig, HttpConfig, InfluxConfig, J1939Config, MqttConfig,
+    OpenTelemetryConfig, RecordingConfig, SparkplugConfig,
+};
+use crate::failure::{Code, Failure};
 use crate::hub::Hub;
 use crate::sink::can::{self, Layout};
+#[cfg(feature = "foxglove")]
+use crate::sink::foxglove;
 use crate::sink::http::{self, Http};
 use crate::sink::influx;
+#[cfg(feature = "j1939")]
+use crate::sink::j1939;
+#[cfg(feature = "sparkplug")]
+use crate::sink::mqtt::sparkplug::Node;
 use crate::sink::mqtt::{self, Broker};
+#[cfg(feature = "opentelemetry")]
+use crate::sink::opentelemetry::Exporter;
 use crate::sink::recording::{self, Recorder};
 
 /// Wait before a port that is taken is tried again.
@@ -31,6 +42,28 @@ pub(super) enum SinkConfig {
     Can(CanOutConfig, String),
     Recording(RecordingConfig, Vec<String>),
     Influx(InfluxConfig),
+    Sparkplug(SparkplugConfig),
+    OpenTelemetry(OpenTelemetryConfig),
+    Foxglove(FoxgloveConfig),
+    J1939(J1939Config, String),
+}
+
+/// Why this build cannot serve a sink that was left out of it.
+fn left_out(config: &SinkConfig) -> Option<String> {
+    let feature = match config {
+        SinkConfig::Sparkplug(_) if cfg!(not(feature = "sparkplug")) => "sparkplug",
+        SinkConfig::OpenTelemetry(_) if cfg!(not(feature = "opentelemetry")) => "opentelemetry",
+        SinkConfig::Foxglove(_) if cfg!(not(feature = "foxglove")) => "foxglove",
+        SinkConfig::J1939(..) if cfg!(not(feature = "j1939")) => "j1939",
+        _ => return None,
+    };
+    Some(format!("this build of seepd does not speak it; build one with the feature `{feature}`"))
+}
+
+/// Names of the configured sinks that were left out of this build, and what to do.
+pub fn sinks_left_out(config: &DaemonConfig) -> Vec<(String, String)> {
+    let sinks = sink_configs(config);
+    sinks.iter().filter_map(|sink| Some((sink.name(), left_out(sink)?))).collect()
 }
 
 impl SinkConfig {
@@ -41,6 +74,10 @@ impl SinkConfig {
             SinkConfig::Can(frame, _) => can::sink_name(frame),
             SinkConfig::Recording(..) => recording::SINK.into(),
             SinkConfig::Influx(_) => influx::SINK.into(),
+            SinkConfig::Sparkplug(_) => "sparkplug".into(),
+            SinkConfig::OpenTelemetry(_) => "opentelemetry".into(),
+            SinkConfig::Foxglove(_) => "foxglove".into(),
+            SinkConfig::J1939(speaker, _) => format!("j1939 {} {:02X}", speaker.interface, speaker.address),
         }
     }
 
@@ -53,7 +90,20 @@ impl SinkConfig {
                 let own = [&mqtt.password_file, &mqtt.certificate_file, &mqtt.key_file].map(Option::as_ref);
                 [ca_file, own[0], own[1], own[2]]
             }
-            SinkConfig::Can(..) | SinkConfig::Recording(..) | SinkConfig::Influx(_) => [None; 4],
+            SinkConfig::Sparkplug(node) => {
+                let ca_file = Some(&node.ca_file).filter(|_| node.tls);
+                let own = [&node.password_file, &node.certificate_file, &node.key_file].map(Option::as_ref);
+                [ca_file, own[0], own[1], own[2]]
+            }
+            SinkConfig::Foxglove(foxglove) => [foxglove.token_file.as_ref(), None, None, None],
+            SinkConfig::OpenTelemetry(telemetry) => {
+                let is_https = telemetry.place().is_ok_and(|place| place.tls);
+                [Some(&telemetry.ca_file).filter(|_| is_https), telemetry.token_file.as_ref(), None, None]
+            }
+            SinkConfig::Can(..)
+            | SinkConfig::Recording(..)
+            | SinkConfig::Influx(_)
+            | SinkConfig::J1939(..) => [None; 4],
         };
         files.into_iter().flatten()
     }
@@ -81,11 +131,23 @@ pub fn check_sinks(config: &DaemonConfig) -> Result<(), Failure> {
 }
 
 pub(super) fn check_sink(config: &SinkConfig) -> Result<(), Failure> {
+    if let Some(what) = left_out(config) {
+        return Err(Failure::new(Code::Configuration, format!("{}: {what}", config.name())));
+    }
     match config {
         SinkConfig::Http(http) => http::token(http).map(drop),
         SinkConfig::Mqtt(mqtt) => mqtt::credentials(mqtt).map(drop),
+        SinkConfig::Sparkplug(node) => mqtt::credentials(&node.connection()).map(drop),
         SinkConfig::Can(frame, _) => Layout::new(frame).map(drop),
-        SinkConfig::Recording(..) | SinkConfig::Influx(_) => Ok(()),
+        #[cfg(feature = "opentelemetry")]
+        SinkConfig::OpenTelemetry(telemetry) => Exporter::new(telemetry, Hub::new("check".into())).map(drop),
+        #[cfg(not(feature = "opentelemetry"))]
+        SinkConfig::OpenTelemetry(_) => Ok(()),
+        #[cfg(feature = "foxglove")]
+        SinkConfig::Foxglove(foxglove) => foxglove::Server::new(foxglove, Hub::new("check".into())).map(drop),
+        #[cfg(not(feature = "foxglove"))]
+        SinkConfig::Foxglove(_) => Ok(()),
+        SinkConfig::Recording(..) | SinkConfig::Influx(_) | SinkConfig::J1939(..) => Ok(()),
     }
 }
 
@@ -93,18 +155,27 @@ pub(super) fn sink_configs(config: &DaemonConfig) -> Vec<SinkConfig> {
     let names: Vec<String> = config.axes.iter().map(|axis| axis.axis.clone()).collect();
     let sinks = config.sinks.clone();
     let recording = sinks.recording.map(|recording| SinkConfig::Recording(recording, names.clone()));
+    // Where there is only one axis it need not be named.
+    let axis = |named: &str| match named {
+        "" => names.first().cloned().unwrap_or_default(),
+        named => named.to_owned(),
+    };
     let can = sinks.can_out.into_iter().map(|frame| {
-        let axis = if frame.axis.is_empty() {
-            names.first().cloned().unwrap_or_default()
-        } else {
-            frame.axis.clone()
-        };
+        let axis = axis(&frame.axis);
         SinkConfig::Can(frame, axis)
+    });
+    let j1939 = sinks.j1939.into_iter().map(|speaker| {
+        let axis = axis(&speaker.axis);
+        SinkConfig::J1939(J1939Config { axis: axis.clone(), ..speaker }, axis)
     });
     let http = sinks.http.map(SinkConfig::Http);
     let mqtt = sinks.mqtt.map(SinkConfig::Mqtt);
     let influx = sinks.influx.map(SinkConfig::Influx);
-    recording.into_iter().chain(http).chain(mqtt).chain(influx).chain(can).collect()
+    let sparkplug = sinks.sparkplug.map(SinkConfig::Sparkplug);
+    let telemetry = sinks.opentelemetry.map(SinkConfig::OpenTelemetry);
+    let foxglove = sinks.foxglove.map(SinkConfig::Foxglove);
+    let one_each = [recording, http, mqtt, influx, sparkplug, telemetry, foxglove];
+    one_each.into_iter().flatten().chain(can).chain(j1939).collect()
 }
 
 impl Daemon {
@@ -159,11 +230,35 @@ impl Daemon {
             SinkConfig::Influx(influx) => {
                 Ending::Task(tokio::spawn(influx::run(influx.clone(), hub, stopped)))
             }
+            #[cfg(feature = "sparkplug")]
+            SinkConfig::Sparkplug(node) => Ending::Task(tokio::spawn(Node::new(node, hub)?.run(stopped))),
+            #[cfg(feature = "opentelemetry")]
+            SinkConfig::OpenTelemetry(telemetry) => {
+                Ending::Task(tokio::spawn(Exporter::new(telemetry, hub)?.run(stopped)))
+            }
+            #[cfg(feature = "foxglove")]
+            SinkConfig::Foxglove(config) => {
+                Ending::Task(tokio::spawn(foxglove::Server::new(config, hub)?.run(stopped)))
+            }
+            #[cfg(feature = "j1939")]
+            SinkConfig::J1939(speaker, axis) => {
+                let speaker = j1939::Speaker::new(speaker.clone(), axis.clone(), hub);
+                Ending::Task(tokio::spawn(speaker.run(stopped)))
+            }
             SinkConfig::Recording(recording, axes) => {
                 let folder = recording.folder.clone().unwrap_or_else(|| self.state_folder.join("recordings"));
                 let (recorder, thread) = recording::start(recording, &folder, axes.clone(), hub)?;
                 self.recorder.send_replace(Some(recorder.clone()));
                 Ending::Thread(recorder, thread)
+            }
+            #[cfg(not(all(
+                feature = "foxglove",
+                feature = "j1939",
+                feature = "opentelemetry",
+                feature = "sparkplug"
+            )))]
+            other => {
+                return Err(Failure::new(Code::Configuration, left_out(other).unwrap_or_default()));
             }
         };
         self.sinks.push(RunningSink { config, files, name: name.to_owned(), stop, task });

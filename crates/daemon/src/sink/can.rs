@@ -219,7 +219,7 @@ pub fn open(interface: &str) -> io::Result<OwnedFd> {
 ///
 /// # Errors
 /// The interface is down or gone, or its queue is full.
-pub fn write(port: &OwnedFd, frame: &Frame) -> io::Result<()> {
+pub fn write(port: &impl AsRawFd, frame: &Frame) -> io::Result<()> {
     let (bytes, size) = linux::write(frame);
     send(port.as_raw_fd(), &bytes[..size], MsgFlags::MSG_DONTWAIT)?;
     Ok(())

@@ -14,6 +14,7 @@ use crate::clock;
 use crate::config::InfluxConfig;
 use crate::hub::{AxisStatus, Hub};
 use crate::journal::Warnings;
+use crate::sink::sizes::{Size, sizes};
 
 /// Its name among the sinks.
 pub const SINK: &str = "influx";
@@ -101,17 +102,8 @@ fn line(measurement: &str, axis: &AxisStatus, time_ns: Option<i64>) -> String {
         axis.stale,
         axis.cycles
     );
-    let known = axis.flag != Flag::NoEstimate;
-    let fields = [
-        ("leak_flow_lpm", axis.leak_flow_lpm),
-        ("leak_area_m2", axis.leak_area_m2),
-        ("leak_area_low_m2", axis.interval90_m2.map(|interval| interval[0])),
-        ("leak_area_high_m2", axis.interval90_m2.map(|interval| interval[1])),
-        ("leak_power_w", axis.loss.map(|loss| loss.leak_power_w)),
-        ("time_to_leak_s", axis.time_to_leak_s),
-    ];
-    for (name, value) in fields.into_iter().filter(|_| known) {
-        if let Some(value) = value.filter(|value| value.is_finite()) {
+    for Size { name, value, .. } in sizes(axis) {
+        if let Some(value) = value {
             let _ = write!(text, ",{name}={value:e}");
         }
     }

@@ -334,13 +334,7 @@ impl TapeFile {
     }
 
     fn write_event(&mut self, event: &Publication) -> io::Result<()> {
-        let (topic, name, schema) = match event.kind {
-            Kind::Cycle => ("leakage", "seepd.cycle/1", schema::CYCLE),
-            Kind::Flag => ("flags", "seepd.event/1", schema::EVENT),
-            Kind::Notice => ("notices", "seepd.notice/1", schema::NOTICE),
-            Kind::Acknowledged => ("acknowledged", "seepd.acknowledged/1", schema::ANY),
-            Kind::Test => ("test", "seepd.test/1", schema::ANY),
-        };
+        let (topic, name, schema) = channel(event.kind);
         let channel = self.channel(&event.axis, topic, name, schema)?;
         self.sink.write(channel, event.t_ns, event.event_json.as_bytes())
     }
@@ -399,6 +393,17 @@ fn write_signals(line: &mut Vec<u8>, sample: &Sample) -> io::Result<()> {
     }
     line.push(b'}');
     Ok(())
+}
+
+/// The topic below an axis's name that events of a kind have, their schema's name, and their schema.
+pub(super) const fn channel(kind: Kind) -> (&'static str, &'static str, &'static str) {
+    match kind {
+        Kind::Cycle => ("leakage", "seepd.cycle/1", schema::CYCLE),
+        Kind::Flag => ("flags", "seepd.event/1", schema::EVENT),
+        Kind::Notice => ("notices", "seepd.notice/1", schema::NOTICE),
+        Kind::Acknowledged => ("acknowledged", "seepd.acknowledged/1", schema::ANY),
+        Kind::Test => ("test", "seepd.test/1", schema::ANY),
+    }
 }
 
 #[cfg(test)]

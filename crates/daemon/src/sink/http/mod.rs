@@ -104,7 +104,14 @@ impl Http {
 /// # Errors
 /// [`Failure`] where its file cannot be read, or it is too short to be one.
 pub fn token(config: &HttpConfig) -> Result<Option<String>, Failure> {
-    let Some(path) = &config.token_file else { return Ok(None) };
+    config.token_file.as_deref().map(read_token).transpose()
+}
+
+/// Reads a token from its file.
+///
+/// # Errors
+/// [`Failure`] where the file cannot be read, or has no token.
+pub(super) fn read_token(path: &std::path::Path) -> Result<String, Failure> {
     let text = side_file::read_text(path).map_err(|error| Failure::reading(path, &error))?;
     let token = text.trim().to_owned();
     if token.len() < SHORTEST_TOKEN || !token.chars().all(|c| c.is_ascii_graphic() && c != ';') {
@@ -113,7 +120,7 @@ pub fn token(config: &HttpConfig) -> Result<Option<String>, Failure> {
         );
         return Err(Failure::configuration(path, what));
     }
-    Ok(Some(token))
+    Ok(token)
 }
 
 fn routes(site: Arc<Site>) -> Router {
@@ -205,7 +212,7 @@ fn cookie(headers: &HeaderMap) -> Option<&str> {
 }
 
 /// Compares in a time that tells nothing of where two tokens differ.
-fn same(a: &[u8], b: &[u8]) -> bool {
+pub(super) fn same(a: &[u8], b: &[u8]) -> bool {
     a.len() == b.len() && a.iter().zip(b).fold(0, |differences, (a, b)| differences | (a ^ b)) == 0
 }
 

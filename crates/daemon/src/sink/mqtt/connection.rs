@@ -5,15 +5,14 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use rumqttc::{QoS, TlsConfiguration, Transport, v5};
-use rustls::pki_types::pem::PemObject;
-use rustls::pki_types::{CertificateDer, PrivateKeyDer};
-use rustls::{ClientConfig, RootCertStore};
+use rustls::ClientConfig;
 use seepd_settings::side_file;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
 use crate::config::{MqttConfig, MqttVersion};
-use crate::failure::{Code, Failure};
+use crate::failure::Failure;
+use crate::sink::tls;
 
 /// Time after which a silent broker is asked whether it is there.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
@@ -69,14 +68,20 @@ pub(super) struct Message {
     pub(super) content: Vec<u8>,
 }
 
+/// What the broker tells others where this client is gone without a farewell; with QoS 1.
+pub(super) struct Will {
+    pub(super) topic: String,
+    pub(super) message: Vec<u8>,
+    pub(super) retain: bool,
+}
+
 /// Where the broker is, and who asks.
 pub(super) struct Link {
     pub(super) config: MqttConfig,
     client_id: String,
     password: Option<String>,
     tls: Option<Arc<ClientConfig>>,
-    /// Whether this client announces itself as the daemon and takes orders.
-    pub(super) presence: bool,
+    pub(super) will: Option<Will>,
 }
 
 impl Link {
@@ -89,7 +94,7 @@ impl Link {
         let host = nix::unistd::gethostname().unwrap_or_default();
         let client_id =
             config.client_id.clone().unwrap_or_else(|| format!("seepd-{}", host.to_string_lossy()));
-        Ok(Link { config: config.clone(), client_id, password, tls, presence: true })
+        Ok(Link { config: config.clone(), client_id, password, tls, will: None })
     }
 
     /// Host and port.
@@ -142,7 +147,7 @@ impl Connection {
     pub(super) async fn publish(
         &self,
         topic: String,
-        message: String,
+        message: Vec<u8>,
         qos: QoS,
         retain: bool,
     ) -> Result<(), String> {
@@ -181,8 +186,8 @@ fn open_3(link: &Link, events: mpsc::Sender<ConnectionEvent>) -> (Client, JoinHa
     use rumqttc::{AsyncClient, Event, LastWill, MqttOptions, Packet};
     let mut options = MqttOptions::new(&link.client_id, &link.config.host, link.config.port());
     options.set_keep_alive(KEEP_ALIVE).set_clean_session(true).set_max_packet_size(64 << 10, 256 << 10);
-    if link.presence {
-        options.set_last_will(LastWill::new(link.topic("status"), "offline", QoS::AtLeastOnce, true));
+    if let Some(Will { topic, message, retain }) = &link.will {
+        options.set_last_will(LastWill::new(topic, message.clone(), QoS::AtLeastOnce, *retain));
     }
     if let Some(user) = &link.config.username {
         options.set_credentials(user, link.password.as_deref().unwrap_or_default());
@@ -216,9 +221,9 @@ fn open_5(link: &Link, events: mpsc::Sender<ConnectionEvent>) -> (Client, JoinHa
     use v5::{AsyncClient, Event, MqttOptions};
     let mut options = MqttOptions::new(&link.client_id, &link.config.host, link.config.port());
     options.set_keep_alive(KEEP_ALIVE).set_clean_start(true).set_max_packet_size(Some(64 << 10));
-    if link.presence {
-        let will = LastWill::new(link.topic("status"), "offline", qos_5(QoS::AtLeastOnce), true, None);
-        options.set_last_will(will);
+    if let Some(Will { topic, message, retain }) = &link.will {
+        let qos = qos_5(QoS::AtLeastOnce);
+        options.set_last_will(LastWill::new(topic.clone(), message.clone(), qos, *retain, None));
     }
     if let Some(user) = &link.config.username {
         options.set_credentials(user, link.password.as_deref().unwrap_or_default());
@@ -269,38 +274,7 @@ pub fn credentials(config: &MqttConfig) -> Result<(Option<String>, Option<Arc<Cl
     let read = |path: &Path| side_file::read_text(path).map_err(|error| Failure::reading(path, &error));
     let password = config.password_file.as_deref().map(read).transpose()?;
     let password = password.map(|text| text.trim_end_matches(['\r', '\n']).to_owned());
-    let tls = if config.tls { Some(Arc::new(tls(config)?)) } else { None };
+    let own = config.certificate_file.as_deref().zip(config.key_file.as_deref());
+    let tls = if config.tls { Some(tls::client(&config.ca_file, own)?) } else { None };
     Ok((password, tls))
-}
-
-fn tls(config: &MqttConfig) -> Result<ClientConfig, Failure> {
-    let bad =
-        |path: &Path, what: String| Failure::new(Code::Configuration, format!("{}: {what}", path.display()));
-    let mut roots = RootCertStore::empty();
-    roots.add_parsable_certificates(certificates(&config.ca_file)?);
-    if roots.is_empty() {
-        return Err(bad(&config.ca_file, "the file has no certificate that can be trusted".into()));
-    }
-    let provider = Arc::new(rustls::crypto::ring::default_provider());
-    let builder = ClientConfig::builder_with_provider(provider)
-        .with_safe_default_protocol_versions()
-        .map_err(|error| Failure::new(Code::Internal, error.to_string()))?
-        .with_root_certificates(roots);
-    match (&config.certificate_file, &config.key_file) {
-        (Some(certificate), Some(key)) => {
-            let pem = side_file::read(key).map_err(|error| Failure::reading(key, &error))?;
-            let private = PrivateKeyDer::from_pem_slice(&pem).map_err(|error| bad(key, error.to_string()))?;
-            builder
-                .with_client_auth_cert(certificates(certificate)?, private)
-                .map_err(|error| bad(certificate, error.to_string()))
-        }
-        _ => Ok(builder.with_no_client_auth()),
-    }
-}
-
-fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, Failure> {
-    let pem = side_file::read(path).map_err(|error| Failure::reading(path, &error))?;
-    CertificateDer::pem_slice_iter(&pem).collect::<Result<Vec<_>, _>>().map_err(|error| {
-        Failure::configuration(path, format!("this is not a PEM file of certificates: {error}"))
-    })
 }

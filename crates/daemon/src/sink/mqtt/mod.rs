@@ -9,6 +9,8 @@
 
 mod connection;
 mod home_assistant;
+#[cfg(feature = "sparkplug")]
+pub mod sparkplug;
 pub mod spool;
 
 use std::collections::BTreeSet;
@@ -21,7 +23,7 @@ use rumqttc::QoS;
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until, timeout};
 
-use self::connection::{Connection, ConnectionEvent, Link, Message};
+use self::connection::{Connection, ConnectionEvent, Link, Message, Will};
 use crate::config::MqttConfig;
 use crate::failure::Failure;
 use crate::hub::SourceState;
@@ -53,6 +55,8 @@ const LOSSES: u32 = 5;
 /// A broker that is kept up with.
 pub struct Broker {
     link: Link,
+    /// Whether this client announces itself as the daemon and takes orders.
+    presence: bool,
     hub: Arc<Hub>,
     spool: Arc<Mutex<Spool>>,
     /// What it has to tell.
@@ -134,10 +138,13 @@ impl Broker {
     pub fn new(config: &MqttConfig, spool_folder: &Path, hub: Arc<Hub>) -> Result<Self, Failure> {
         let now = now();
         let spool = Spool::open(spool_folder, config.spool_events)?;
+        let mut link = Link::new(config)?;
+        link.will = Some(Will { topic: link.topic("status"), message: b"offline".to_vec(), retain: true });
         let events = Some(hub.subscribe_to_keep(SINK, config.spool_events));
         Ok(Broker {
+            link,
+            presence: true,
             events,
-            link: Link::new(config)?,
             hub,
             counts: spool.counts(),
             spool: Arc::new(Mutex::new(spool)),
@@ -161,7 +168,8 @@ impl Broker {
 
     /// Keeps up as another client than the daemon: sends events, and neither conditions nor that it is there.
     pub async fn run_without_presence(mut self, stop: watch::Receiver<bool>) {
-        self.link.presence = false;
+        self.presence = false;
+        self.link.will = None;
         self.run(stop).await;
     }
 
@@ -296,7 +304,7 @@ impl Broker {
     }
 
     async fn send_status(&mut self) {
-        if !self.link.presence {
+        if !self.presence {
             return;
         }
         let axes = self.hub.axes();
@@ -335,7 +343,7 @@ impl Broker {
 
     async fn publish_at(&mut self, topic: String, message: String, qos: QoS, retain: bool) {
         let Some(connection) = &self.connection else { return };
-        if let Err(error) = connection.publish(topic, message, qos, retain).await {
+        if let Err(error) = connection.publish(topic, message.into_bytes(), qos, retain).await {
             self.lose(&error);
         }
     }
@@ -447,7 +455,7 @@ impl Broker {
 
     /// Announces this daemon.
     fn greet(&self) {
-        let Some(connection) = self.connection.as_ref().filter(|_| self.link.presence) else { return };
+        let Some(connection) = self.connection.as_ref().filter(|_| self.presence) else { return };
         if let Err(error) = connection.announce(self.link.topic("status"), "online") {
             tracing::warn!("the broker cannot be greeted: {error}");
         }
@@ -457,7 +465,7 @@ impl Broker {
     /// end the connection, and must not keep events back.
     fn listen(&mut self) {
         let idle = self.under_way.is_none() && self.counts.waiting == 0;
-        if self.listens || !idle || self.connected_since.is_none() || !self.link.presence {
+        if self.listens || !idle || self.connected_since.is_none() || !self.presence {
             return;
         }
         let Some(connection) = &self.connection else { return };
@@ -474,7 +482,7 @@ impl Broker {
             return;
         }
         let _ = timeout(FAREWELL, async {
-            if self.link.presence {
+            if self.presence {
                 self.publish("status", "offline".into(), QoS::AtMostOnce, true).await;
             }
             if let Some(connection) = &mut self.connection {
