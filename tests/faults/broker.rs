@@ -188,7 +188,7 @@ fn hand_on(mut client: TcpStream, mut broker: TcpStream, fate: Fate) -> std::io:
                 client.write_all(&[PUBACK << 4, 2, 0x77, 0x77])?;
             }
             Fate::Babble { packets } if sent == packets => {
-                client.write_all(&[0xf7, 0xff, 0xff, 0xff, 0xff, 0x01])?
+                client.write_all(&[0xf7, 0xff, 0xff, 0xff, 0xff, 0x01])?;
             }
             Fate::Slow { ms } => thread::sleep(Duration::from_millis(ms)),
             _ => {}

@@ -133,7 +133,7 @@ impl Sender {
                 self.send(&command_frame(command, (ms as u8).wrapping_add(100)));
             }
             Disturbance::FrozenCounter => {
-                self.send(&command_frame(self.command[(ms % CYCLE_MS) as usize], 7))
+                self.send(&command_frame(self.command[(ms % CYCLE_MS) as usize], 7));
             }
             Disturbance::WildCounter => {
                 let counter = random(&mut self.seed) as u8;
