@@ -88,7 +88,7 @@ pub const ALL: [Explanation; 18] = [
     },
     Explanation {
         name: "out_of_range",
-        meaning: "the command lay outside of −1 … 1",
+        meaning: "the command lay outside of −1 … 1, all the time or among other values",
         cause: "The log has the command in volts, per cent, milliamperes or counts and the mapping does not scale it; more rarely, a frame was read at the wrong place.",
         check: "`seepd inspect LOG` shows the range of each field.",
         cure: "Set `scale` (and `offset`) in `[signals.command]`: ±10 V `scale = 0.1`; per cent `scale = 0.01`; 4 … 20 mA around 12 mA `scale = 0.125` and `offset = -1.5`.",

@@ -10,6 +10,10 @@ const COMMAND_LIMIT: f64 = 1.05;
 const LATE_S: f64 = 1.0;
 /// Samples in a row that may be missing and are bridged by holding the last one.
 const BRIDGED_SAMPLES: i64 = 10;
+/// What an impossible value adds to the doubt about those beside it, which each usable one takes 1 from: one in five is borne.
+const DOUBT: u32 = 4;
+/// Doubt from which the values in between are no better: ten impossible ones in a row, or some more among others.
+const MOST_DOUBT: u32 = 40;
 /// Intervals over which the rate is checked.
 const RATE_WINDOW: u32 = 200;
 
@@ -57,6 +61,8 @@ pub(crate) struct IntakeState {
     jitter_ns: f64,
     /// Why the samples since the last used one were dropped.
     dropped_for: Option<Reason>,
+    /// Doubt about the values, from impossible ones among them.
+    doubt: u32,
     window: RateWindow,
     /// Rate of the samples, where it is not the model's.
     pub(crate) wrong_rate_hz: Option<f64>,
@@ -89,8 +95,11 @@ impl IntakeState {
         }
         if let Some(reason) = unusable(counts, command) {
             self.dropped_for.get_or_insert(reason);
+            self.doubt = self.doubt.saturating_add(DOUBT);
             return Admission::Drop;
         }
+        let is_doubtful = self.doubt > MOST_DOUBT;
+        self.doubt = if is_doubtful { 0 } else { self.doubt.saturating_sub(1) };
         self.last_ns = Some(time_ns);
         if self.wrong_rate_hz.is_some() {
             counts.wrong_rate += 1;
@@ -109,7 +118,7 @@ impl IntakeState {
             0
         };
         let reason = self.dropped_for.take();
-        if missing > BRIDGED_SAMPLES || reason == Some(Reason::WrongRate) {
+        if missing > BRIDGED_SAMPLES || is_doubtful || reason == Some(Reason::WrongRate) {
             counts.missing += missing.max(0) as u64;
             return self.restart(time_ns, command, reason.unwrap_or(Reason::Gap));
         }

@@ -240,6 +240,22 @@ fn bad_values_reject_that_cycle_alone_with_their_reason() {
 }
 
 #[test]
+fn values_among_impossible_ones_are_no_better_and_a_lone_one_is_left_out() {
+    // Bits of something else: two in five are beyond what a command can be, and never ten in a row.
+    let mut wild = LEAKY.clone();
+    for (index, sample) in wild[24_000..24_400].iter_mut().enumerate() {
+        sample.set(Signal::Command, ((index * 7919 % 1000) as f64 / 1000.0 - 0.5) * 3.4);
+    }
+    assert_others_survive(&wild, "out_of_range");
+    // One in fifty is a disturbance that the others outlive.
+    let mut lone = LEAKY.clone();
+    for sample in lone[24_000..26_000].iter_mut().step_by(50) {
+        sample.set(Signal::Command, 2.0);
+    }
+    assert_eq!(starts(&read(&lone)), starts(&read(&LEAKY)));
+}
+
+#[test]
 fn command_that_freezes_in_a_stroke_is_stuck() {
     let mut damaged = LEAKY.clone();
     let frozen = damaged[26_900].get(Signal::Command).unwrap();
