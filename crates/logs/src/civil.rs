@@ -173,8 +173,8 @@ fn zone_ns(text: &str) -> Option<i64> {
         Some(parts) => parts,
         None => digits.split_at_checked(2)?,
     };
-    let minutes = if minutes.is_empty() { 0 } else { whole(minutes)? };
-    Some(sign * (whole(hours)? * HOUR_NS + minutes * HOUR_NS / 60))
+    let (hours, minutes) = (whole(hours)?, if minutes.is_empty() { 0 } else { whole(minutes)? });
+    (hours < 24 && minutes < 60).then(|| sign * (hours * HOUR_NS + minutes * HOUR_NS / 60))
 }
 
 #[cfg(test)]
@@ -227,8 +227,18 @@ mod tests {
         let mut reader = StampReader::default();
         assert_eq!(reader.read("13/05/2024"), Some(Stamp::Day(day_ns + 12 * 24 * HOUR_NS)));
         assert_eq!(reader.read("01/05/2024"), Some(Stamp::Day(day_ns)));
-        for text in ["", "1.5", "12", "1.2.3.4", "2024-13-01", "oil 12:00", "-1:00:00", "31.02.2024", "1e-3"]
-        {
+        for text in [
+            "",
+            "1.5",
+            "12",
+            "1.2.3.4",
+            "2024-13-01",
+            "oil 12:00",
+            "-1:00:00",
+            "31.02.2024",
+            "1e-3",
+            "1:00:00+99999999999",
+        ] {
             assert_eq!(StampReader::default().read(text), None, "{text}");
         }
     }

@@ -133,6 +133,16 @@ fn quoted(text: &str) -> String {
     toml::Value::String(text.to_owned()).to_string()
 }
 
+/// A name as a key, which has one line, where a value may be written over several.
+fn key(text: &str) -> String {
+    let quoted = quoted(text);
+    if !quoted.starts_with("'''") && !quoted.starts_with("\"\"\"") {
+        return quoted;
+    }
+    let alone = toml::Table::from_iter([(text.to_owned(), toml::Value::Boolean(true))]).to_string();
+    alone.trim_end().trim_end_matches(" = true").to_owned()
+}
+
 fn table(name: &str, guesses: &[(&str, Option<Guess<'_>>)]) -> String {
     let mut text = format!("\n[fmu.{name}]\n");
     for (ours, guess) in guesses {
@@ -152,7 +162,7 @@ fn parameter(variable: &Variable) -> String {
     let Some(start) = variable.start.filter(|_| variable.causality == Causality::Parameter) else {
         return String::new();
     };
-    let name = quoted(&variable.name);
+    let name = key(&variable.name);
     match variable.bounds {
         (Some(low), Some(high)) if low < high && (low..=high).contains(&start) => {
             format!("{name} = {{ start = {start:?}, bounds = [{low:?}, {high:?}] }}\n")
@@ -165,6 +175,15 @@ fn parameter(variable: &Variable) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn keys_with_quotes_and_backslashes_read_back() {
+        for name in ["valve.lag", "v\\lve'.lag", "a\"b'c\\d", "", "\u{7f}'''\"\"\"", "two\nlines'"] {
+            let text = format!("{} = 1\n", key(name));
+            let table: toml::Table = toml::from_str(&text).unwrap_or_else(|error| panic!("{text}: {error}"));
+            assert_eq!(table.keys().next().map(String::as_str), Some(name), "{text}");
+        }
+    }
 
     #[test]
     fn names_are_taken_apart_at_points_and_large_letters() {
