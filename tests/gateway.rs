@@ -12,6 +12,7 @@ mod disk;
 mod duty_cycles;
 mod faults;
 mod hostile_logs;
+mod http_api;
 mod live;
 mod network;
 mod plant_languages;

@@ -43,6 +43,8 @@ const PAGE: &str = include_str!("../dashboard/index.html");
 const SCRIPT: &str = include_str!("../dashboard/dashboard.js");
 const STYLE: &str =
     concat!(include_str!("../../html/palette.css"), include_str!("../dashboard/dashboard.css"));
+/// All that is served, for programs that write clients: OpenAPI 3.1.
+const DESCRIPTION: &str = include_str!("openapi.json");
 /// Nothing is loaded from elsewhere, and no other page may frame this one.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
                       frame-ancestors 'none'; base-uri 'none'; form-action 'self'";
@@ -130,6 +132,7 @@ fn routes(site: Arc<Site>) -> Router {
         .route("/dashboard.css", get(async || asset("text/css; charset=utf-8", STYLE)))
         .route(login::PATH, post(login::enter))
         .route("/metrics", get(metrics))
+        .route("/api/v1/openapi.json", get(async || asset("application/json", DESCRIPTION)))
         .route("/api/v1/reasons", get(async || Json(reasons::ALL)))
         .route("/api/v1/status", get(status))
         .route("/api/v1/axes/{axis}", get(axis))
