@@ -466,7 +466,9 @@ impl Plant {
             // A kill costs at most a cycle before all was worked through, and what is left was told of.
             let settled = run.seen.last().map_or(0, |(cycles, _)| cycles.saturating_sub(1));
             let left = |states: Vec<(u64, Expected)>| {
-                let oldest = if run.was_killed { settled } else { states.last().unwrap().0 };
+                // A disk that is behind costs the events, too, by which the state would have come to be.
+                let last = states.last().unwrap().0;
+                let oldest = if run.was_killed { settled.min(last) } else { last };
                 states.into_iter().filter(move |(cycles, _)| *cycles >= oldest).map(|(_, state)| state)
             };
             may_be = walked.into_iter().flatten().flat_map(left).collect();
