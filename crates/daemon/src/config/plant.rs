@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::check_name;
 use super::endpoint::Endpoint;
-use super::sinks::{MqttConfig, MqttVersion, is_local};
+use super::sinks::{MqttConfig, MqttVersion, check_listen, is_local};
 
 /// `[sparkplug]`: a node of Sparkplug B, with a connection of its own, since a connection has one last will.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -166,13 +166,7 @@ impl Default for FoxgloveConfig {
 
 impl FoxgloveConfig {
     pub(super) fn check(&self) -> Result<(), String> {
-        if self.listen.ip().is_loopback() || self.token_file.is_some() {
-            return Ok(());
-        }
-        Err(format!(
-            "foxglove.listen is {}, which others can reach: name a file with a token in foxglove.token_file",
-            self.listen
-        ))
+        check_listen("foxglove", self.listen, self.token_file.as_deref())
     }
 }
 

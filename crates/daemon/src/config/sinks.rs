@@ -58,6 +58,16 @@ impl HttpConfig {
     }
 }
 
+/// What others can reach asks for a token; `table` names it.
+pub(super) fn check_listen(table: &str, listen: SocketAddr, token_file: Option<&Path>) -> Result<(), String> {
+    if listen.ip().is_loopback() || token_file.is_some() {
+        return Ok(());
+    }
+    Err(format!(
+        "{table}.listen is {listen}, which others can reach: name a file with a token in {table}.token_file"
+    ))
+}
+
 /// Whether a host is this machine.
 pub(super) fn is_local(host: &str) -> bool {
     host == "localhost" || host.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
@@ -469,12 +479,7 @@ impl SinksConfig {
             }
         }
         if let Some(http) = &self.http {
-            if !http.listen.ip().is_loopback() && http.token_file.is_none() {
-                return Err(format!(
-                    "http.listen is {}, which others can reach: name a file with a token in http.token_file",
-                    http.listen
-                ));
-            }
+            check_listen("http", http.listen, http.token_file.as_deref())?;
             if let Some(mqtt) = &self.mqtt
                 && mqtt.port() == http.listen.port()
                 && mqtt.is_local()

@@ -156,14 +156,14 @@ impl Hub {
 
     /// Every event from now on; those that find so many before them are lost and counted.
     pub fn subscribe(&self, most: usize) -> Subscription {
-        self.subscribe_as(most, |_| None)
+        self.subscribe_as(most, false)
     }
 
     /// The same for one that puts each event where it outlives the program, and says so by [`Subscription::has_kept_one`]. Where one
     /// of this name has parked its subscription, the new one begins with the first event that the other has not heard.
     pub fn subscribe_to_keep(&self, name: &str, most: usize) -> Subscription {
         let parked = self.lock().parked.remove(name);
-        parked.unwrap_or_else(|| self.subscribe_as(most, |kept| Some((0, kept))))
+        parked.unwrap_or_else(|| self.subscribe_as(most, true))
     }
 
     /// Leaves a subscription to the next of its name, whom a reload is about to start.
@@ -177,15 +177,11 @@ impl Hub {
         drop(parked);
     }
 
-    fn subscribe_as(
-        &self,
-        most: usize,
-        keeps: impl FnOnce(watch::Receiver<u64>) -> Option<(u64, watch::Receiver<u64>)>,
-    ) -> Subscription {
+    fn subscribe_as(&self, most: usize, keeps: bool) -> Subscription {
         let (sender, events) = mpsc::channel(most);
         let lost = Arc::new(AtomicU64::new(0));
         let kept = watch::Sender::new(0);
-        let keeps = keeps(kept.subscribe());
+        let keeps = keeps.then(|| (0, kept.subscribe()));
         self.lock().subscribers.push(Subscriber { events: sender, lost: Arc::clone(&lost), keeps });
         Subscription { events, lost, kept }
     }
