@@ -14,7 +14,8 @@ from websockets.sync.client import connect
 
 
 def say(**line):
-    print(json.dumps(line), flush=True)
+    sys.stdout.write(json.dumps(line) + "\n")  # at once: others may be writing
+    sys.stdout.flush()
 
 
 try:

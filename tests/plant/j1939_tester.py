@@ -20,7 +20,8 @@ EXTENDED = 0x80000000
 
 
 def say(**line):
-    print(json.dumps(line), flush=True)
+    sys.stdout.write(json.dumps(line) + "\n")  # at once: others may be writing
+    sys.stdout.flush()
 
 
 def send(can_id, extended_id, data, fd_format=False):

@@ -68,7 +68,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         self.wfile.write(body)
-        print(json.dumps(line), flush=True)
+        sys.stdout.write(json.dumps(line) + "\n")  # at once: others may be writing
+        sys.stdout.flush()
 
     def log_message(self, *_):
         pass

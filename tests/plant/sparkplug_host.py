@@ -27,7 +27,8 @@ def heard(_client, message):
         "stamped": all(metric.timestamp is not None for metric in metrics),
     }
     with lock:
-        print(json.dumps(line), flush=True)
+        sys.stdout.write(json.dumps(line) + "\n")  # at once: others may be writing
+        sys.stdout.flush()
 
 
 group, node = sys.argv[2], sys.argv[3]
