@@ -9,7 +9,7 @@ use seepd_logs::McapSource;
 use seepd_logs::Source;
 use seepd_signals::Signal;
 
-use crate::support::{estimates, fixture, reasons, replay, seepd, simulate, stderr, summary};
+use crate::support::{estimates, fixture, mcap_of, reasons, replay, seepd, simulate, stderr, summary};
 
 /// Exit code and the one line of a run that must fail.
 fn refusal<A: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = A>) -> (i32, String) {
@@ -141,28 +141,8 @@ fn samples_of(bytes: &[u8]) -> Vec<(i64, u64)> {
 
 /// A log with chunks of 64 KiB that are `compression`, of 4 s.
 fn small_log(compression: Option<mcap::Compression>) -> Vec<u8> {
-    let mut bytes = Cursor::new(Vec::new());
-    let mut writer = mcap::WriteOptions::new()
-        .compression(compression)
-        .chunk_size(Some(1 << 14))
-        .create(&mut bytes)
-        .unwrap();
-    let schema = writer.add_schema("seepd.Signals", "jsonschema", b"{}").unwrap();
-    let channel = writer.add_channel(schema, "/axis/signals", "json", &Default::default()).unwrap();
-    for number in 0..4000u32 {
-        let time = u64::from(number) * 1_000_000;
-        let header = mcap::records::MessageHeader {
-            channel_id: channel,
-            sequence: number,
-            log_time: time,
-            publish_time: time,
-        };
-        let message = format!("{{\"command\":{}}}", f64::from(number % 997) / 1000.0);
-        writer.write_to_known_channel(&header, message.as_bytes()).unwrap();
-    }
-    writer.finish().unwrap();
-    drop(writer);
-    bytes.into_inner()
+    let options = mcap::WriteOptions::new().compression(compression).chunk_size(Some(1 << 14));
+    mcap_of(options, (0..4000).map(|number| f64::from(number % 997) / 1000.0))
 }
 
 const COMPRESSIONS: [Option<mcap::Compression>; 3] =

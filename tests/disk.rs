@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-use crate::daemon::{Daemon, Machine, cycle, free_port, json, machine_toml, until};
+use crate::daemon::{Daemon, Machine, cycle, free_port, machine_toml, sink, until};
 use crate::support::{fixture, seepd, simulate, stderr, stdout};
 
 const SOON: Duration = Duration::from_secs(20);
@@ -57,11 +57,6 @@ fn files(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-fn sink(port: u16, name: &str) -> Option<Value> {
-    let status = json(port, "/api/v1/status");
-    status["sinks"].as_array().unwrap().iter().find(|sink| sink["name"] == name).cloned()
-}
-
 #[test]
 fn a_recording_leaves_room_for_the_state_and_keeps_the_newest() {
     let folder = tempfile::tempdir().unwrap();
@@ -105,16 +100,16 @@ fn a_full_disk_is_told_once_and_counted_and_recovery_is_told() {
     let machine = Machine::start(&socket, cycle("nominal_leak_0.csv"));
     until("a page", SOON, || crate::daemon::ask(port, "GET", "/healthz", "").is_some());
     until("what is dropped is counted", SOON, || {
-        sink(port, "recording")
-            .is_some_and(|sink| sink["good"] == false && sink["dropped"].as_u64() > Some(1000))
+        let recording = sink(port, "recording");
+        recording["good"] == false && recording["dropped"].as_u64() > Some(1000)
     });
-    until("the state's complaint", SOON, || sink(port, "state").is_some_and(|sink| sink["good"] == false));
+    until("the state's complaint", SOON, || sink(port, "state")["good"] == false);
     let metrics = crate::daemon::ask(port, "GET", "/metrics", "").unwrap().body;
     assert!(!metrics.contains("seepd_sink_dropped_total{sink=\"recording\"} 0\n"), "{metrics}");
     assert!(files(&state.join("recordings")).is_empty());
     fs::remove_file(ballast).unwrap();
-    until("the state again", SOON, || sink(port, "state").is_some_and(|sink| sink["good"] == true));
-    until("the recording again", SOON, || sink(port, "recording").is_some_and(|sink| sink["good"] == true));
+    until("the state again", SOON, || sink(port, "state")["good"] == true);
+    until("the recording again", SOON, || sink(port, "recording")["good"] == true);
     machine.stop();
     let words = daemon.words();
     let count = |what: &str| words.lines().filter(|line| line.contains(what)).count();
@@ -161,11 +156,11 @@ fn a_state_folder_that_cannot_be_used_is_waited_for() {
     let machine = Machine::start(&socket, cycle("nominal_leak_0.csv"));
     until("a page", SOON, || crate::daemon::ask(port, "GET", "/healthz", "").is_some());
     for name in ["state", "mqtt"] {
-        until(name, SOON, || sink(port, name).is_some_and(|sink| sink["good"] == false));
+        until(name, SOON, || sink(port, name)["good"] == false);
     }
     fs::remove_file(&state).unwrap();
     // A folder in the place of the file is set aside by the next start; here it is what the first start has left.
-    until("the state", SOON, || sink(port, "state").is_some_and(|sink| sink["good"] == true));
+    until("the state", SOON, || sink(port, "state")["good"] == true);
     until("the spool", SOON, || state.join("spool").exists());
     machine.stop();
     assert!(daemon.terminate().0.success());

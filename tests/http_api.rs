@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use crate::daemon::{Answer, Daemon, ask, ask_with, free_port, machine_toml, until};
+use crate::daemon::{Answer, Daemon, ask, ask_with, axis_toml, free_port, log_axis_toml, until};
 use crate::support::{python, simulate};
 
 const SOON: Duration = Duration::from_secs(20);
@@ -57,13 +57,10 @@ fn every_route_is_described_and_every_answer_is_as_described() {
     let log = folder.path().join("worn.mcap");
     simulate(&log, &["--cycles", "8", "--leak-area", "1e-7", "--leak-growth", "3e-6"]);
     let port = free_port();
-    let silent = machine_toml(&folder.path().join("in.sock"));
-    let silent = silent.replace("[source]", "[axes.source]").replace("[signals", "[axes.signals");
     let config = format!(
-        "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n\
-         [[axes]]\naxis = \"worn\"\n[axes.energy]\nprice_per_kwh = 0.3\n[axes.source]\nlog = \"{}\"\npace = \"fast\"\n\
-         [[axes]]\naxis = \"silent\"\n{silent}",
-        log.display()
+        "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n{}[axes.energy]\nprice_per_kwh = 0.3\n{}",
+        log_axis_toml("worn", &log),
+        axis_toml("silent", &folder.path().join("in.sock"))
     );
     let _daemon = Daemon::start(folder.path(), &config);
     until("the log's end", SOON, || {

@@ -9,7 +9,9 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-use crate::daemon::{Daemon, Mosquitto, ask, axis_status, free_port, has, json, machine_toml, until};
+use crate::daemon::{
+    Daemon, Mosquitto, ask, axis_status, axis_toml, free_port, has, json, machine_toml, sink, until,
+};
 use crate::support::{seepd, simulate, stderr, stdout};
 
 const SOON: Duration = Duration::from_secs(15);
@@ -27,10 +29,9 @@ fn silent_press(folder: &Path, http_port: u16, broker_port: u16, version: &str) 
 fn silent_and_worn(folder: &Path, port: u16) -> String {
     let log = folder.join("worn.mcap");
     simulate(&log, &["--cycles", "8", "--leak-area", "1e-7", "--leak-growth", "3e-7"]);
-    let silent = machine_toml(&folder.join("in.sock"));
-    let silent = silent.replace("[source]", "[axes.source]").replace("[signals", "[axes.signals");
+    let silent = axis_toml("silent", &folder.join("in.sock"));
     format!(
-        "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n[[axes]]\naxis = \"silent\"\n{silent}\
+        "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n{silent}\
          [[axes]]\naxis = \"worn\"\n[axes.alarm]\nraise_cycles = 1\n[axes.source]\nlog = \"{}\"\npace = \"fast\"\n",
         log.display()
     )
@@ -60,11 +61,6 @@ fn publish(mosquitto: &Mosquitto, topic: &str, more: &[&str]) {
     let output =
         Command::new("mosquitto_pub").args(["-h", "127.0.0.1", "-p", &port, "-t", topic]).args(more).output();
     assert!(output.unwrap().status.success());
-}
-
-fn sink(port: u16, name: &str) -> Value {
-    let sinks = json(port, "/api/v1/status")["sinks"].as_array().unwrap().clone();
-    sinks.into_iter().find(|sink| sink["name"] == name).unwrap()
 }
 
 fn entries(folder: &Path) -> Vec<PathBuf> {

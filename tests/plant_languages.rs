@@ -2,32 +2,33 @@
 
 use std::collections::BTreeSet;
 use std::net::UdpSocket;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde_json::Value;
 
-use crate::daemon::{Companion, Daemon, Machine, Mosquitto, axis_status, cycle, free_port, has, json, until};
+use crate::daemon::{
+    Companion, Daemon, Machine, Mosquitto, axis_status, axis_toml, cycle, free_port, has, json,
+    log_axis_toml, sink, until,
+};
 use crate::support::{python, seepd, simulate};
 
 const SOON: Duration = Duration::from_secs(20);
 
 /// A configuration with the page at a port, some sinks, an axis `Press 1` that reads a log, and one that hears nothing.
 fn two_axes(folder: &Path, port: u16, log: &Path, sinks: &str) -> String {
-    let silent = crate::daemon::machine_toml(&folder.join("in.sock"))
-        .replace("[source]", "[axes.source]")
-        .replace("[signals", "[axes.signals");
     format!(
-        "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n{sinks}\
-         [[axes]]\naxis = \"Press 1\"\n[axes.source]\nlog = \"{}\"\npace = \"fast\"\n[[axes]]\naxis = \"silent\"\n{silent}",
-        log.display()
+        "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n{sinks}{}{}",
+        log_axis_toml("Press 1", log),
+        axis_toml("silent", &folder.join("in.sock"))
     )
 }
 
-/// How the daemon says a sink is.
-fn sink(port: u16, name: &str) -> Value {
-    let sinks = json(port, "/api/v1/status")["sinks"].clone();
-    sinks.as_array().unwrap().iter().find(|sink| sink["name"] == name).cloned().unwrap_or_default()
+/// A log of a machine that leaks.
+fn worn_log(folder: &Path) -> PathBuf {
+    let log = folder.join("worn.mcap");
+    simulate(&log, &["--cycles", "8", "--leak-area", "2e-7"]);
+    log
 }
 
 /// The keys of a status that templates ask for.
@@ -42,8 +43,7 @@ fn home_assistant_is_told_of_each_axis_and_asks_for_what_there_is() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("worn.mcap");
-    simulate(&log, &["--cycles", "8", "--leak-area", "2e-7"]);
+    let log = worn_log(folder.path());
     let mosquitto = Mosquitto::start(folder.path(), free_port(), "allow_anonymous true");
     let heard = mosquitto.listen(&folder.path().join("heard.txt"), &["-t", "homeassistant/#"]);
     let port = free_port();
@@ -112,19 +112,12 @@ fn read_line(text: &str) -> (String, Vec<(String, String)>, i64) {
 #[test]
 fn lines_for_influx_come_after_each_cycle_and_in_between_and_a_deaf_port_holds_nothing_up() {
     let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("worn.mcap");
-    simulate(&log, &["--cycles", "8", "--leak-area", "2e-7"]);
+    let log = worn_log(folder.path());
     let receiver = UdpSocket::bind("127.0.0.1:0").unwrap();
     receiver.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
     let (port, udp) = (free_port(), receiver.local_addr().unwrap());
-    let config = format!(
-        "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n[influx]\nudp = \"{udp}\"\nperiod_s = 0.2\n\
-         [[axes]]\naxis = \"Press 1\"\n[axes.source]\nlog = \"{}\"\npace = \"fast\"\n[[axes]]\naxis = \"silent\"\n{}",
-        log.display(),
-        crate::daemon::machine_toml(&folder.path().join("in.sock"))
-            .replace("[source]", "[axes.source]")
-            .replace("[signals", "[axes.signals")
-    );
+    let sinks = format!("[influx]\nudp = \"{udp}\"\nperiod_s = 0.2\n");
+    let config = two_axes(folder.path(), port, &log, &sinks);
     let _daemon = Daemon::start(folder.path(), &config);
     let mut buffer = [0; 2048];
     let mut next = || {
@@ -178,8 +171,7 @@ fn a_sparkplug_host_sees_births_data_rebirths_and_deaths_in_order() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("worn.mcap");
-    simulate(&log, &["--cycles", "8", "--leak-area", "2e-7"]);
+    let log = worn_log(folder.path());
     let mosquitto = Mosquitto::start(folder.path(), free_port(), "allow_anonymous true");
     let broker = mosquitto.port.to_string();
     let host = Companion::start(host, "sparkplug_host.py", folder.path(), &[&broker, "plant", "gateway 1"]);
@@ -289,8 +281,7 @@ fn a_sparkplug_node_comes_again_with_the_next_number_and_says_farewell() {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("worn.mcap");
-    simulate(&log, &["--cycles", "8", "--leak-area", "2e-7"]);
+    let log = worn_log(folder.path());
     let port = free_port();
     let first = Mosquitto::start(folder.path(), free_port(), "allow_anonymous true");
     let broker = first.port;
@@ -342,8 +333,7 @@ fn measured(request: &Value, name: &str, axis: &str) -> Value {
 fn a_collector_gets_the_metrics_and_one_that_refuses_or_stalls_holds_nothing_up() {
     let Some(python) = python("opentelemetry.proto") else { return };
     let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("worn.mcap");
-    simulate(&log, &["--cycles", "8", "--leak-area", "2e-7"]);
+    let log = worn_log(folder.path());
     let (port, otlp) = (free_port(), free_port());
     let sinks = format!(
         "[opentelemetry]\nendpoint = \"http://localhost:{otlp}\"\nperiod_s = 1.0\nservice_name = \"hall 3\"\n"
@@ -436,8 +426,7 @@ fn a_collector_over_tls_gets_a_token_and_one_that_never_answers_holds_nothing_up
         return;
     }
     let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("worn.mcap");
-    simulate(&log, &["--cycles", "8", "--leak-area", "2e-7"]);
+    let log = worn_log(folder.path());
     crate::live::secure_broker(folder.path());
     std::fs::write(folder.path().join("otlp-token"), "a-token\n").unwrap();
     let place = |name: &str| folder.path().join(name).display().to_string();
@@ -472,8 +461,7 @@ fn a_collector_over_tls_gets_a_token_and_one_that_never_answers_holds_nothing_up
 fn foxglove_hears_command_estimates_conditions_and_events_and_a_client_that_hangs_is_ended() {
     let Some(client) = python("foxglove_websocket, websockets.sync.client, jsonschema") else { return };
     let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("worn.mcap");
-    simulate(&log, &["--cycles", "8", "--leak-area", "2e-7"]);
+    let log = worn_log(folder.path());
     let (port, live) = (free_port(), free_port());
     let sinks = format!("[foxglove]\nlisten = \"127.0.0.1:{live}\"\n");
     let daemon = Daemon::start(folder.path(), &two_axes(folder.path(), port, &log, &sinks));
@@ -566,8 +554,7 @@ fn spoken(heard: &[Value], kind: &str) -> Vec<Value> {
 fn a_tester_reads_dm1_asks_for_dm2_and_takes_the_address_away() {
     let Some(tester) = python("j1939") else { return };
     let folder = tempfile::tempdir().unwrap();
-    let log = folder.path().join("worn.mcap");
-    simulate(&log, &["--cycles", "8", "--leak-area", "2e-7"]);
+    let log = worn_log(folder.path());
     let bus = folder.path().join("bus.sock");
     let tester = Companion::start(tester, "j1939_tester.py", folder.path(), &[bus.to_str().unwrap()]);
     until("the bus", SOON, || bus.exists());

@@ -17,7 +17,7 @@ use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use serde_json::Value;
 
 use super::sequences;
-use crate::daemon::{Daemon, Mosquitto, free_port, has, json, until};
+use crate::daemon::{Daemon, Mosquitto, ask, free_port, has, log_axis_toml, sink, until};
 use crate::support::simulate;
 
 /// Sequences at a time: daemons that mostly wait for their next try.
@@ -236,11 +236,10 @@ fn config(
     format!(
         "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{http_port}\"\n\
          [mqtt]\nhost = \"127.0.0.1\"\nport = {broker_port}\nprefix = \"{prefix}\"\nversion = \"{version}\"\nclient_id = \"{}\"\n\
-         [[axes]]\naxis = \"press-1\"\n[axes.source]\nlog = \"{}\"\npace = \"fast\"\n\
-         [[axes]]\naxis = \"silent\"\n[axes.source]\ncan = \"unix:{}\"\nstale_after_s = 3600.0\n\
+         {}[[axes]]\naxis = \"silent\"\n[axes.source]\ncan = \"unix:{}\"\nstale_after_s = 3600.0\n\
          [axes.signals.command]\nbits = {{ id = 0x123, start = 0, length = 16 }}\n",
         prefix.replace('/', "-"),
-        log.display(),
+        log_axis_toml("press-1", log),
         folder.join("in.sock").display()
     )
 }
@@ -248,14 +247,13 @@ fn config(
 /// Waits until every event of the log is with the broker.
 fn deliver(http_port: u16) {
     until("the log's end", LONG, || {
-        let found = crate::daemon::ask(http_port, "GET", "/api/v1/status", "");
+        let found = ask(http_port, "GET", "/api/v1/status", "");
         found.is_some_and(|answer| answer.json()["axes"].to_string().contains("\"state\":\"ended\""))
     });
     // Between two events that are under way nothing waits either: it must stay so.
     let mut before = (Value::Null, Instant::now());
     until("an empty spool", LONG, || {
-        let sinks = json(http_port, "/api/v1/status")["sinks"].clone();
-        let mqtt = sinks.as_array().unwrap().iter().find(|sink| sink["name"] == "mqtt").unwrap().clone();
+        let mqtt = sink(http_port, "mqtt");
         assert_eq!(mqtt["dropped"], 0, "{mqtt}");
         if before.0 != mqtt["sent"] || mqtt["waiting"] != 0 {
             before = (mqtt["sent"].clone(), Instant::now());

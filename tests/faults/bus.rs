@@ -3,7 +3,6 @@
 //!
 //! Frames come through Unix sockets in real time, an axis each; interfaces that go down are tried with the kernel's own CAN (tests/vm).
 
-use std::fmt::Write;
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
 use std::thread;
@@ -14,7 +13,7 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 
 use super::{random, sequences};
-use crate::daemon::{Daemon, can_frame, command_frame, cycle, free_port, json, machine_toml, until};
+use crate::daemon::{Daemon, axis_toml, can_frame, command_frame, cycle, free_port, json, until};
 
 /// The machine of the fixture leaks so much, m², and estimates of it may be off by a tenth.
 const LEAK_AREA_M2: f64 = 1e-6;
@@ -211,9 +210,7 @@ fn estimates_stay_right_on_a_bus_that_is_disturbed() {
     let socket = |axis: usize| folder.path().join(format!("{axis}.sock"));
     let mut config = format!("state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{http_port}\"\n");
     for axis in 0..AXES {
-        let machine = machine_toml(&socket(axis));
-        let machine = machine.replace("[source]", "[axes.source]").replace("[signals", "[axes.signals");
-        write!(config, "[[axes]]\naxis = \"{axis}\"\n{machine}").unwrap();
+        config += &axis_toml(&axis.to_string(), &socket(axis));
     }
     let daemon = Daemon::start(folder.path(), &config);
     let command = cycle("nominal_leak_1e-6.csv");

@@ -9,7 +9,7 @@ use seepd_logs::{LogMapping, SignalMapping};
 use seepd_signals::Signal;
 
 use super::sequences;
-use crate::support::fixture;
+use crate::support::{fixture, mcap_of};
 
 /// A log of a few hundred samples takes a millisecond.
 const LONGEST: Duration = Duration::from_secs(5);
@@ -47,25 +47,9 @@ fn are_among(some: &[String], others: &[String]) -> bool {
 
 /// An MCAP of a few hundred messages, in chunks of some.
 fn mcap(compression: Option<mcap::Compression>, has_chunks: bool) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    let options =
-        mcap::WriteOptions::new().compression(compression).chunk_size(Some(4000)).use_chunks(has_chunks);
-    let mut writer = options.create(std::io::Cursor::new(&mut bytes)).unwrap();
-    let channel = writer.add_channel(0, "/axis/signals", "json", &Default::default()).unwrap();
-    for number in 0..300_u32 {
-        let time = u64::from(number) * 1_000_000;
-        let header = mcap::records::MessageHeader {
-            channel_id: channel,
-            sequence: number,
-            log_time: time,
-            publish_time: time,
-        };
-        let message = format!("{{\"command\":{}}}", f64::from(number) / 1000.0);
-        writer.write_to_known_channel(&header, message.as_bytes()).unwrap();
-    }
-    writer.finish().unwrap();
-    drop(writer);
-    bytes
+    let options = mcap::WriteOptions::new();
+    let options = options.compression(compression).chunk_size(Some(4000)).use_chunks(has_chunks);
+    mcap_of(options, (0..300).map(|number| f64::from(number) / 1000.0))
 }
 
 /// A small log of each format, under a name that ends as theirs do.

@@ -21,7 +21,7 @@ use seepd_signals::Signal;
 use serde_json::Value;
 
 use super::sequences;
-use crate::daemon::{Daemon, Listener, Mosquitto, ask_with, axis_status, free_port, has, json, until};
+use crate::daemon::{Daemon, Listener, Mosquitto, ask_with, axis_status, free_port, has, json, sink, until};
 use crate::support::simulate;
 
 const SOON: Duration = Duration::from_secs(30);
@@ -406,8 +406,7 @@ impl Plant {
         self.need_broker();
         let port = self.http_port;
         until("an empty spool", Duration::from_secs(60), || {
-            let sinks = json(port, "/api/v1/status")["sinks"].clone();
-            let mqtt = sinks.as_array().unwrap().iter().find(|sink| sink["name"] == "mqtt").unwrap();
+            let mqtt = sink(port, "mqtt");
             assert_eq!(mqtt["dropped"], 0, "{mqtt}");
             mqtt["waiting"] == 0
         });

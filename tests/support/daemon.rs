@@ -202,6 +202,12 @@ pub(crate) fn axis_status(port: u16) -> Option<Value> {
     Some(ask(port, "GET", "/api/v1/status", "")?.json()["axes"][0].clone())
 }
 
+/// How the daemon says a sink is; null where there is none of the name.
+pub(crate) fn sink(port: u16, name: &str) -> Value {
+    let sinks = json(port, "/api/v1/status")["sinks"].clone();
+    sinks.as_array().unwrap().iter().find(|sink| sink["name"] == name).cloned().unwrap_or_default()
+}
+
 /// A machine that sends its command a thousand times a second: 16 bits of 5e-5 and a counter, identifier 0x123.
 pub(crate) struct Machine {
     stop: Arc<AtomicBool>,
@@ -215,6 +221,18 @@ pub(crate) fn machine_toml(socket: &Path) -> String {
          [signals.command]\nbits = {{ id = 0x123, start = 0, length = 16, encoding = \"signed\" }}\nscale = 5e-5\n",
         socket.display()
     )
+}
+
+/// The same as one axis of several.
+pub(crate) fn axis_toml(axis: &str, socket: &Path) -> String {
+    let machine =
+        machine_toml(socket).replace("[source]", "[axes.source]").replace("[signals", "[axes.signals");
+    format!("[[axes]]\naxis = \"{axis}\"\n{machine}")
+}
+
+/// An axis of several that reads a log as fast as it can.
+pub(crate) fn log_axis_toml(axis: &str, log: &Path) -> String {
+    format!("[[axes]]\naxis = \"{axis}\"\n[axes.source]\nlog = \"{}\"\npace = \"fast\"\n", log.display())
 }
 
 /// A frame as Linux lays it out.

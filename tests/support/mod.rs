@@ -97,6 +97,23 @@ pub(crate) fn summary(lines: &[Value]) -> &Value {
     last
 }
 
+/// An MCAP of a command a millisecond.
+pub(crate) fn mcap_of(options: mcap::WriteOptions, commands: impl IntoIterator<Item = f64>) -> Vec<u8> {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    let mut writer = options.create(&mut bytes).unwrap();
+    let schema = writer.add_schema("seepd.Signals", "jsonschema", b"{}").unwrap();
+    let channel_id = writer.add_channel(schema, "/axis/signals", "json", &Default::default()).unwrap();
+    for (sequence, command) in (0..).zip(commands) {
+        let time = u64::from(sequence) * 1_000_000;
+        let header =
+            mcap::records::MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
+        writer.write_to_known_channel(&header, format!("{{\"command\":{command}}}").as_bytes()).unwrap();
+    }
+    writer.finish().unwrap();
+    drop(writer);
+    bytes.into_inner()
+}
+
 /// Python with this package, if it is here.
 pub(crate) fn python(package: &str) -> Option<Command> {
     let check = Command::new("python3").args(["-c", &format!("import {package}")]).output();
