@@ -1,5 +1,7 @@
 //! `seepd replay`: logs in, leak by cycle out.
 
+mod files;
+
 use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
@@ -9,9 +11,11 @@ use seepd_logs::record::Clock;
 use seepd_logs::{bytes_of, open_with};
 use seepd_monitor::baseline::Baseline;
 use seepd_monitor::event::{Event, Flag, Summary};
-use seepd_monitor::pipeline::{DutyCycle, Monitor, Pipeline};
+use seepd_monitor::pipeline::{Monitor, Pipeline};
 use seepd_monitor::repair::Repair;
 use seepd_signals::Sample;
+
+use files::Files;
 
 use super::reading::{BaselineArguments, ReadingArguments, RepairsArguments};
 use crate::advice::advice;
@@ -19,12 +23,10 @@ use crate::cli::Outcome;
 use crate::config::AxisConfig;
 use crate::failure::{Code, Failure};
 use crate::html::report::ReportPage;
-use crate::output::{Output, OutputFile, Outputs, OverwriteArguments};
+use crate::output::OverwriteArguments;
 use crate::progress::{byte_bar, counting, warn};
-use crate::sink::csv::CsvSink;
 use crate::sink::html::HtmlSink;
 use crate::sink::json;
-use crate::sink::mcap::EventSink;
 use crate::sink::plain::Plain;
 use crate::sink::terminal::{self, Colour};
 
@@ -81,13 +83,6 @@ impl ReplayArguments {
     }
 }
 
-/// Where events go besides standard output.
-struct Files {
-    csv: Option<CsvSink<OutputFile>>,
-    mcap: Option<EventSink<OutputFile>>,
-    html: Option<(Output, HtmlSink)>,
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -97,15 +92,15 @@ pub fn run(arguments: &ReplayArguments) -> Result<Outcome, Failure> {
     let files = Files::begin(arguments, &replay.config, &replay.pipeline.config().duty_cycles)?;
     let out = Printer::new(arguments, replay.config.reference_dp_pa);
     let bar = out.progress_bar(&arguments.logs);
-    let mut told = Told { arguments, files, out };
+    let mut told = Told { files, out };
     let notes = replay.read_logs(&arguments.logs, counting(&bar), &mut told)?;
     bar.finish_and_clear();
-    let Told { mut files, mut out, .. } = told;
+    let Told { mut files, mut out } = told;
     let Replayed { summary, advice } = replay.summed_up(arguments.logs.first());
     if let Some((output, record)) = files.html.take() {
         output.write(replay.page(&record, &summary, advice.as_deref()))?;
     }
-    files.finish(arguments)?;
+    files.finish()?;
     for note in notes {
         warn(&note);
     }
@@ -302,13 +297,12 @@ impl Replay {
 }
 
 /// What the command tells: on standard output and in files.
-struct Told<'a> {
-    arguments: &'a ReplayArguments,
+struct Told {
     files: Files,
     out: Printer,
 }
 
-impl Audience for Told<'_> {
+impl Audience for Told {
     fn begin_log(&mut self, name: &str) {
         if let Some((_, html)) = &mut self.files.html {
             html.begin_log(name);
@@ -323,7 +317,7 @@ impl Audience for Told<'_> {
     }
 
     fn take_event(&mut self, event: &Event<'_>) -> Result<(), Failure> {
-        self.files.write(self.arguments, event).and_then(|()| self.out.event(event))
+        self.files.write(event).and_then(|()| self.out.event(event))
     }
 
     fn end_log(&mut self, notes: &[String]) {
@@ -358,58 +352,6 @@ impl RepairsDue {
         }
         let is_due = self.rest.last().is_some_and(|repair| repair.at_ns <= time_ns);
         if is_due { self.rest.pop() } else { None }
-    }
-}
-
-impl Files {
-    fn begin(
-        arguments: &ReplayArguments,
-        config: &AxisConfig,
-        duty_cycles: &[DutyCycle],
-    ) -> Result<Self, Failure> {
-        let logs = arguments.logs.iter().map(PathBuf::as_path);
-        let inputs = logs
-            .chain(arguments.reading.files(config))
-            .chain(arguments.baseline.file())
-            .chain(arguments.repairs.file());
-        let mut outputs = Outputs::new(arguments.overwrite, inputs);
-        // All are claimed before the first is begun.
-        let csv = outputs.claim_any(arguments.csv.as_ref())?;
-        let mcap = outputs.claim_any(arguments.mcap.as_ref())?;
-        let html = outputs.claim_any(arguments.html.as_ref())?;
-        let event_sink = |output: &Output| {
-            EventSink::new(output.create()?).map_err(|error| Failure::writing(output.path(), error))
-        };
-        let csv = csv.map(|output| output.create()).transpose()?;
-        let before_below_lpm = config.alarm.clear_share * config.alarm.watch_lpm;
-        Ok(Files {
-            csv: csv.map(|file| CsvSink::new(file, DutyCycle::feature_names(duty_cycles))),
-            mcap: mcap.as_ref().map(event_sink).transpose()?,
-            html: html.map(|output| (output, HtmlSink::new(duty_cycles, before_below_lpm))),
-        })
-    }
-
-    fn write(&mut self, arguments: &ReplayArguments, event: &Event<'_>) -> Result<(), Failure> {
-        if let (Some(sink), Some(path)) = (&mut self.csv, &arguments.csv) {
-            sink.write_event(event).map_err(|error| Failure::writing(path, error))?;
-        }
-        if let (Some(sink), Some(path)) = (&mut self.mcap, &arguments.mcap) {
-            sink.write_event(event).map_err(|error| Failure::writing(path, error))?;
-        }
-        if let Some((_, sink)) = &mut self.html {
-            sink.take_event(event);
-        }
-        Ok(())
-    }
-
-    fn finish(self, arguments: &ReplayArguments) -> Result<(), Failure> {
-        if let (Some(sink), Some(path)) = (self.csv, &arguments.csv) {
-            sink.finish().map_err(|error| Failure::writing(path, error))?.finish()?;
-        }
-        if let (Some(sink), Some(path)) = (self.mcap, &arguments.mcap) {
-            sink.finish().map_err(|error| Failure::writing(path, error))?.finish()?;
-        }
-        Ok(())
     }
 }
 
