@@ -296,7 +296,7 @@ fn a_command_that_fails_leaves_the_older_result() {
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (old, missing) = (path("cycles.csv"), path("missing.mcap"));
     fs::write(&old, "last week's result").unwrap();
-    for option in ["--csv", "--mcap", "--html"] {
+    for option in ["--csv", "--mcap", "--parquet", "--html"] {
         assert_eq!(refusal(&["replay", &missing, "--force", option, &old]).0, 66);
         assert_eq!(fs::read_to_string(&old).unwrap(), "last week's result");
     }

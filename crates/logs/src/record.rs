@@ -44,6 +44,12 @@ pub struct Clock {
 
 /// A clock that began less than this ago, ns, knows no date.
 const UNDATED_NS: i64 = 10 * 86_400_000_000_000;
+
+/// Whether a log that begins at a time has dates, rather than a clock that began with its machine or its recording.
+pub fn knows_date(begin_ns: i64) -> bool {
+    begin_ns.saturating_abs() >= UNDATED_NS
+}
+
 /// Pause between such a log and the one before it, ns.
 const PAUSE_NS: i64 = 1_000_000_000;
 
@@ -59,7 +65,7 @@ impl Clock {
     pub fn in_one_record(&mut self, time_ns: i64) -> i64 {
         let newest_ns = self.newest_ns;
         let shift_ns = *self.shift_ns.get_or_insert_with(|| match newest_ns {
-            Some(newest) if time_ns <= newest && time_ns.abs() < UNDATED_NS => {
+            Some(newest) if time_ns <= newest && !knows_date(time_ns) => {
                 newest.saturating_add(PAUSE_NS).saturating_sub(time_ns)
             }
             _ => 0,

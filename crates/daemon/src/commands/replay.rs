@@ -33,7 +33,7 @@ use crate::sink::terminal::{self, Colour};
 /// Read logs and show the leak by cycle, flags and a summary
 ///
 /// Several logs are read one after the other as the record of one machine; so are those of a folder or of a quoted pattern. A leak is given
-/// as the flow that it passes at a stated pressure difference (L/min), and as an area (mm²). JSON, CSV and MCAP have SI units.
+/// as the flow that it passes at a stated pressure difference (L/min), and as an area (mm²). JSON, CSV, MCAP and Parquet have SI units.
 #[derive(Debug, Args)]
 #[command(
     after_help = "Examples:\n  seepd replay press-1.mcap\n  seepd replay --json --model model.json press-1.csv | jq .leak_flow_lpm\n  \
@@ -63,6 +63,10 @@ pub struct ReplayArguments {
     /// Write the cycles and the changes of flag as MCAP (/axis/leakage, /axis/flags)
     #[arg(long, value_name = "FILE")]
     mcap: Option<PathBuf>,
+    /// Write the cycles as Parquet, with the columns of the JSON lines
+    #[cfg(feature = "parquet")]
+    #[arg(long, value_name = "FILE")]
+    parquet: Option<PathBuf>,
     /// Write a report as one HTML page
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,

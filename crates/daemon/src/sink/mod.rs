@@ -19,6 +19,8 @@ pub mod mcap;
 pub mod mqtt;
 #[cfg(feature = "opentelemetry")]
 pub mod opentelemetry;
+#[cfg(feature = "parquet")]
+pub mod parquet;
 pub mod plain;
 #[cfg(feature = "live")]
 pub mod prometheus;

@@ -13,6 +13,8 @@ use crate::output::{Output, OutputFile, Outputs};
 use crate::sink::csv::CsvSink;
 use crate::sink::html::HtmlSink;
 use crate::sink::mcap::EventSink;
+#[cfg(feature = "parquet")]
+use crate::sink::parquet::ParquetSink;
 
 /// Where events go besides standard output.
 pub(super) struct Files {
@@ -50,6 +52,17 @@ impl Growing for EventSink<OutputFile> {
     }
 }
 
+#[cfg(feature = "parquet")]
+impl Growing for ParquetSink<OutputFile> {
+    fn write_event(&mut self, event: &Event<'_>) -> io::Result<()> {
+        self.write_event(event)
+    }
+
+    fn end(self: Box<Self>) -> io::Result<OutputFile> {
+        self.finish()
+    }
+}
+
 impl Files {
     /// Begins the files that were asked for.
     ///
@@ -69,6 +82,8 @@ impl Files {
         // All are claimed before the first is begun.
         let csv = outputs.claim_any(arguments.csv.as_ref())?;
         let mcap = outputs.claim_any(arguments.mcap.as_ref())?;
+        #[cfg(feature = "parquet")]
+        let parquet = outputs.claim_any(arguments.parquet.as_ref())?;
         let html = outputs.claim_any(arguments.html.as_ref())?;
         let before_below_lpm = config.alarm.clear_share * config.alarm.watch_lpm;
         let mut files = Files {
@@ -77,6 +92,8 @@ impl Files {
         };
         files.grow(csv, |file| Ok(CsvSink::new(file, DutyCycle::feature_names(duty_cycles))))?;
         files.grow(mcap, EventSink::new)?;
+        #[cfg(feature = "parquet")]
+        files.grow(parquet, ParquetSink::new)?;
         Ok(files)
     }
 
