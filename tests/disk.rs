@@ -303,6 +303,14 @@ fn a_command_that_fails_leaves_the_older_result() {
     assert_eq!(files(folder.path()).len(), 1);
 }
 
+#[cfg(not(feature = "object-store"))]
+#[test]
+fn an_address_is_refused_with_what_to_do_and_without_what_may_be_secret() {
+    let (code, text) = refusal(&["replay", "https://user:word@example.invalid/press.mcap?signature=secret"]);
+    let expected = "https://example.invalid/press.mcap: this build reads no addresses; download the log first, or build with";
+    assert!(code == 65 && text.contains(expected) && !text.contains("secret"), "{text}");
+}
+
 #[test]
 fn pipes_and_devices_are_written_as_they_are() {
     let folder = tempfile::tempdir().unwrap();

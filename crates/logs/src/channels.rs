@@ -133,6 +133,15 @@ impl Channels {
         self.announced.contains(&id)
     }
 
+    /// Whether any channel is mapped so far.
+    pub(super) fn has_mapped(&self) -> bool {
+        !self.mapped.is_empty()
+    }
+
+    pub(super) fn is_mapped(&self, id: u16) -> bool {
+        self.mapped.contains_key(&id)
+    }
+
     /// The channel of a message, if it is mapped; counts the message.
     pub(super) fn of_message(&mut self, id: u16) -> Option<&MappedChannel> {
         if let Some(told) = self.told.get_mut(&id) {

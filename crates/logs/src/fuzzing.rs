@@ -43,7 +43,7 @@ pub fn read_log(log: &[u8], command: &str) {
     let Ok(opened) = Opened::of(
         Bytes::Stream(Box::new(log)),
         "log",
-        Origin { path: None, length: Some(log.len() as u64) },
+        Origin { path: None, length: Some(log.len() as u64), is_far: false },
     ) else {
         return;
     };

@@ -11,6 +11,7 @@ mod counted;
 mod csv;
 mod decode;
 mod error;
+mod far;
 mod fields;
 mod forward;
 #[doc(hidden)]
@@ -54,4 +55,4 @@ pub use mapping::{
 };
 pub use mcap::McapSource;
 pub use series::{bytes_of, logs_of};
-pub use source::{Source, frame_decoder, frames, open, open_with};
+pub use source::{Source, frame_decoder, frames, log_name, open, open_with};

@@ -30,6 +30,7 @@ pub struct McapSource<'i> {
     without_command: LeftOut,
     given: u64,
     summary_asked: bool,
+    begun: bool,
 }
 
 /// Messages of which no use is made.
@@ -86,6 +87,7 @@ impl<'i> McapSource<'i> {
             without_command: LeftOut::default(),
             given: 0,
             summary_asked: false,
+            begun: false,
         }
     }
 
@@ -119,6 +121,22 @@ impl<'i> McapSource<'i> {
         });
         read.map_err(|error| self.io(error))?;
         result
+    }
+
+    /// Of a log that is far away, asks its index where the mapped channels are.
+    #[cold]
+    fn begin(&mut self) -> Result<(), LogError> {
+        self.begun = true;
+        if !self.file.has_far_index() {
+            return Ok(());
+        }
+        self.ask_summary()?;
+        if self.channels.has_mapped() {
+            let channels = &self.channels;
+            let read = self.file.only(&|id| channels.is_mapped(id) || !channels.is_announced(id));
+            read.map_err(|error| LogError::reading(&self.name, error))?;
+        }
+        Ok(())
     }
 
     /// The sample that the message at hand completes, if it holds a command.
@@ -160,6 +178,9 @@ pub(crate) fn log_time_ns(message: &[u8]) -> i64 {
 
 impl Source for McapSource<'_> {
     fn next_sample(&mut self) -> Result<Option<Sample>, LogError> {
+        if !self.begun {
+            self.begin()?;
+        }
         loop {
             match self.file.next_record(&mut self.record) {
                 Err(error) => return Err(self.io(error)),

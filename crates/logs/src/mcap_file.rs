@@ -80,6 +80,10 @@ pub(crate) struct McapFile<R> {
     /// What was damaged so far.
     pub damage: Damage,
     ended: bool,
+    /// Whether the index is worth a way to the file's end.
+    is_by_index: bool,
+    /// Chunks without a message that is wanted, by their first bytes: bytes of them and of what belongs to them.
+    unwanted: BTreeMap<u64, u64>,
 }
 
 impl<R: Read + Seek> McapFile<R> {
@@ -106,7 +110,14 @@ impl<R: Read + Seek> McapFile<R> {
             held: Vec::new(),
             damage: Damage::default(),
             ended: false,
+            is_by_index: false,
+            unwanted: BTreeMap::new(),
         })
+    }
+
+    /// The same file, read by its index: what is not wanted is not read. What is damaged there is not told.
+    pub(crate) fn by_index(self) -> Self {
+        McapFile { is_by_index: true, ..self }
     }
 
     /// Starts after the magic bytes of what can be read from any place.
@@ -205,7 +216,7 @@ impl<R: Read + Seek> McapFile<R> {
         Ok(false)
     }
 
-    /// Hands the schemas and channels in the file's summary, by opcode and content, to `take`: where the chunk that announced
+    /// Hands the schemas, channels and entries of the index in the file's summary, by opcode and content, to `take`: where the chunk that announced
     /// a channel is damaged, the summary still knows it. Reading goes on where it stood.
     ///
     /// # Errors
@@ -218,6 +229,18 @@ impl<R: Read + Seek> McapFile<R> {
         let result = self.read_summary(take);
         self.input.seek(SeekFrom::Start(stood))?;
         result
+    }
+
+    /// Goes past chunks without a message that is wanted.
+    fn pass_over(&mut self) -> io::Result<()> {
+        let begin = self.at;
+        while let Some(bytes) = self.unwanted.get(&self.at) {
+            self.at = self.at.saturating_add(*bytes).min(self.length);
+        }
+        if self.at > begin {
+            self.input.seek(SeekFrom::Start(self.at))?;
+        }
+        Ok(())
     }
 
     fn read_summary(&mut self, take: &mut dyn FnMut(u8, &[u8])) -> io::Result<()> {
@@ -241,7 +264,7 @@ impl<R: Read + Seek> McapFile<R> {
             if length > footer_at - at {
                 break;
             }
-            if matches!(opcode, op::CHANNEL | op::SCHEMA) && length <= LONGEST_RECORD {
+            if matches!(opcode, op::CHANNEL | op::SCHEMA | op::CHUNK_INDEX) && length <= LONGEST_RECORD {
                 content.resize(length as usize, 0);
                 self.input.read_exact(&mut content)?;
                 take(opcode, &content);
@@ -253,6 +276,7 @@ impl<R: Read + Seek> McapFile<R> {
 
     /// Opcode and length of the record at hand; notes a cut where there is not even that.
     fn prefix(&mut self) -> io::Result<Option<(u8, u64)>> {
+        self.pass_over()?;
         if self.at + PREFIX_BYTES > self.length {
             self.damage.cut_at = Some(self.length);
             self.ended = true;
@@ -309,8 +333,54 @@ impl<R: Read + Seek> RecordLog for McapFile<R> {
         self.summary(take)
     }
 
+    fn has_far_index(&self) -> bool {
+        self.is_by_index
+    }
+
+    fn only(&mut self, is_wanted: &dyn Fn(u16) -> bool) -> io::Result<()> {
+        let mut unwanted = BTreeMap::new();
+        self.summary(&mut |opcode, content| {
+            if opcode == op::CHUNK_INDEX
+                && let Some(chunk) = IndexedChunk::parse(content)
+                && !chunk.channels.is_empty()
+                && !chunk.channels.iter().any(|id| is_wanted(*id))
+            {
+                unwanted.insert(chunk.begin, chunk.bytes);
+            }
+        })?;
+        self.unwanted = unwanted;
+        Ok(())
+    }
+
     fn notes(&self) -> Vec<String> {
         self.damage.notes()
+    }
+}
+
+/// A chunk as the summary's index has it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct IndexedChunk {
+    /// Its first byte in the file.
+    begin: u64,
+    /// Its bytes, and those of its messages' index, which follows it.
+    bytes: u64,
+    /// Channels of its messages; none where its writer made no index of messages.
+    channels: Vec<u16>,
+}
+
+impl IndexedChunk {
+    /// Reads a record's content: times of the first and last message, begin, length, offsets by channel, length of the messages' index.
+    fn parse(content: &[u8]) -> Option<Self> {
+        let (_times, rest) = content.split_first_chunk::<16>()?;
+        let (begin, rest) = rest.split_first_chunk::<8>()?;
+        let (length, rest) = rest.split_first_chunk::<8>()?;
+        let (offsets_bytes, rest) = rest.split_first_chunk::<4>()?;
+        let (offsets, rest) = rest.split_at_checked(u32::from_le_bytes(*offsets_bytes) as usize)?;
+        let (index_length, _) = rest.split_first_chunk::<8>()?;
+        let channels =
+            offsets.chunks_exact(10).map(|entry| u16::from_le_bytes([entry[0], entry[1]])).collect();
+        let bytes = u64::from_le_bytes(*length).checked_add(u64::from_le_bytes(*index_length))?;
+        (bytes > 0).then_some(IndexedChunk { begin: u64::from_le_bytes(*begin), bytes, channels })
     }
 }
 

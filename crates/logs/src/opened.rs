@@ -9,6 +9,9 @@ use crate::can::logged::FrameLog;
 use crate::can::text_log::TextLog;
 use crate::counted::CountedReader;
 use crate::error::LogError;
+use crate::far::is_address;
+#[cfg(feature = "object-store")]
+use crate::far::{Parts, SILENCE};
 use crate::forward::Forward;
 use crate::kind::{HEAD_BYTES, LogKind};
 use crate::mcap_file::McapFile;
@@ -39,6 +42,8 @@ pub(crate) struct Origin<'p> {
     pub(crate) path: Option<&'p Path>,
     /// Length of the file, packed or not.
     pub(crate) length: Option<u64>,
+    /// Whether its bytes come from far away, so that what is not needed had better not be read.
+    pub(crate) is_far: bool,
 }
 
 /// A log by its kind.
@@ -64,6 +69,9 @@ impl Opened<'static> {
         if path == Path::new("-") {
             return Opened::of(Bytes::Stream(Box::new(io::stdin())), &name, Origin::default());
         }
+        if is_address(path) {
+            return Opened::far(path, &name, on_bytes);
+        }
         let reading = |error| LogError::reading(&name, error);
         let file = File::open(path).map_err(reading)?;
         let facts = file.metadata().map_err(reading)?;
@@ -71,9 +79,28 @@ impl Opened<'static> {
         let file = CountedReader::new(file, bytes, on_bytes);
         // What has been read of a pipe does not come again.
         let log = if facts.is_file() { Bytes::File(Box::new(file)) } else { Bytes::Stream(Box::new(file)) };
-        let origin =
-            Origin { path: facts.is_file().then_some(path), length: facts.is_file().then_some(bytes) };
+        let origin = Origin {
+            path: facts.is_file().then_some(path),
+            length: facts.is_file().then_some(bytes),
+            is_far: false,
+        };
         Opened::of(log, &name, origin)
+    }
+
+    #[cfg(feature = "object-store")]
+    fn far(path: &Path, name: &str, on_bytes: impl FnMut(u64) + Send + 'static) -> Result<Self, LogError> {
+        let address = path.to_str().unwrap_or_default();
+        let parts = Parts::open(address, SILENCE).map_err(|error| LogError::reading(name, error))?;
+        let length = parts.length();
+        let log = Bytes::File(Box::new(CountedReader::new(parts, length, on_bytes)));
+        Opened::of(log, name, Origin { path: None, length: Some(length), is_far: true })
+    }
+
+    #[cfg(not(feature = "object-store"))]
+    fn far(_path: &Path, name: &str, _on_bytes: impl FnMut(u64)) -> Result<Self, LogError> {
+        let what =
+            "this build reads no addresses; download the log first, or build with `--features object-store`";
+        Err(LogError::data(name, what))
     }
 }
 
@@ -99,7 +126,7 @@ impl<'i> Opened<'i> {
         let reading = |error| LogError::reading(name, error);
         Ok(match kind {
             LogKind::Mcap => {
-                let file = mcap_file(log).map_err(|error| {
+                let file = mcap_file(log, origin.is_far).map_err(|error| {
                     LogError::data(name, format!("this is not an MCAP log, or it is cut short: {error}"))
                 })?;
                 Opened::Records(kind, Box::new(file))
@@ -121,12 +148,13 @@ impl<'i> Opened<'i> {
     }
 }
 
-fn mcap_file(log: Bytes<'_>) -> io::Result<McapFile<Anywhere<'_>>> {
+fn mcap_file(log: Bytes<'_>, is_far: bool) -> io::Result<McapFile<Anywhere<'_>>> {
     match log {
         Bytes::File(mut file) => {
             let length = file.seek(SeekFrom::End(0))?;
             file.rewind()?;
-            McapFile::new(file, Some(length))
+            let file = McapFile::new(file, Some(length))?;
+            Ok(if is_far { file.by_index() } else { file })
         }
         Bytes::Stream(stream) => McapFile::new(Box::new(Forward::new(stream)), None),
     }

@@ -6,7 +6,7 @@ use seepd_signals::Sample;
 
 use crate::error::LogError;
 use crate::mapping::LogMapping;
-use crate::source::open_with;
+use crate::source::{log_name, open_with};
 
 /// Hands every sample of the logs, one log after the other, to `take`; tells what a person should know of them. `on_bytes` hears how
 /// many more bytes have been read.
@@ -28,7 +28,7 @@ pub fn each_sample<E: From<LogError>>(
             take(&sample)?;
         }
         notes.extend(source.notes());
-        notes.extend(clock.note(&path.display().to_string()));
+        notes.extend(clock.note(&log_name(path)));
     }
     Ok(notes)
 }

@@ -16,6 +16,19 @@ pub(crate) trait RecordLog {
     /// Reading failed.
     fn each_in_summary(&mut self, take: &mut dyn FnMut(u8, &[u8])) -> io::Result<()>;
 
+    /// Whether [`only`](Self::only) would save reading.
+    fn has_far_index(&self) -> bool {
+        false
+    }
+
+    /// Passes over, from here on, what the log's own index says to have no message of these channels.
+    ///
+    /// # Errors
+    /// Reading failed.
+    fn only(&mut self, _is_wanted: &dyn Fn(u16) -> bool) -> io::Result<()> {
+        Ok(())
+    }
+
     /// What was damaged, one line each.
     fn notes(&self) -> Vec<String>;
 }

@@ -10,6 +10,7 @@ use crate::can::decode::FrameDecoder;
 use crate::can::logged::FrameLog;
 use crate::csv::CsvSource;
 use crate::error::LogError;
+use crate::far::{is_address, told};
 use crate::mapping::LogMapping;
 use crate::mcap::McapSource;
 use crate::mdf::{MdfFile, MdfFrames, MdfSource};
@@ -64,9 +65,15 @@ pub(crate) fn open_file(
     Ok(Box::new(Usable { source, name, samples: 0, usable: false }))
 }
 
-/// What messages call a log.
-pub(crate) fn log_name(path: &Path) -> String {
-    if path == Path::new("-") { "standard input".into() } else { path.display().to_string() }
+/// What messages call a log: its path, or its address without what may be secret in it.
+pub fn log_name(path: &Path) -> String {
+    if path == Path::new("-") {
+        "standard input".into()
+    } else if is_address(path) {
+        told(&path.display().to_string())
+    } else {
+        path.display().to_string()
+    }
 }
 
 pub(crate) fn of_opened<'i>(

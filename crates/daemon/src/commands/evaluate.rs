@@ -258,7 +258,7 @@ fn estimate(
     pipeline: &mut Pipeline,
     bar: &ProgressBar,
 ) -> Result<MachineRecord, Failure> {
-    let name = logs.first().map(|log| log.display().to_string()).unwrap_or_default();
+    let name = logs.first().map(|log| seepd_logs::log_name(log)).unwrap_or_default();
     let mut record = MachineRecord::new(name);
     let notes = record::each_sample(logs, &config.log_mapping(), counting(bar), |sample| {
         pipeline.push(sample, &mut |event| record.take(event));

@@ -108,7 +108,7 @@ impl GapArguments {
         })?;
         let (values, _) = read(log, config, &spec)?;
         let record = Record::new(&values, &spec)
-            .map_err(|error| Failure::data(format!("{}: {error}", log.display())))?;
+            .map_err(|error| Failure::data(format!("{}: {error}", seepd_logs::log_name(log))))?;
         Ok(Some(record))
     }
 }
@@ -452,7 +452,7 @@ fn write(
     diagnosis: &Diagnosis,
 ) -> Result<Outcome, Failure> {
     if let Some(html) = &outputs.html {
-        let log = log.display().to_string();
+        let log = seepd_logs::log_name(log);
         let page = GapPage { log: &log, headline: &headline(diagnosis), diagnosis, plant };
         html.write(page.render())?;
     }

@@ -83,7 +83,7 @@ pub(super) fn look(
     dbc: Option<&Dbc>,
     seconds: f64,
 ) -> Result<LogSurvey, Failure> {
-    let name = place.display().to_string();
+    let name = seepd_logs::log_name(place);
     if !place.exists() && is_interface(&name) {
         return listen(&name, dbc, seconds);
     }

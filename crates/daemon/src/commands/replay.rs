@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use indicatif::ProgressBar;
 use seepd_logs::record::Clock;
-use seepd_logs::{bytes_of, open_with};
+use seepd_logs::{bytes_of, log_name, open_with};
 use seepd_monitor::baseline::Baseline;
 use seepd_monitor::event::{Event, Flag, Summary};
 use seepd_monitor::pipeline::{Monitor, Pipeline};
@@ -200,7 +200,7 @@ impl Replay {
         let mapping = self.config.log_mapping();
         for path in logs {
             let mut source = open_with(path, &mapping, on_bytes.clone())?;
-            let name = path.display().to_string();
+            let name = log_name(path);
             audience.begin_log(&name);
             clock.begin(path);
             while let Some(mut sample) = source.next_sample()? {

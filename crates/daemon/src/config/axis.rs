@@ -334,7 +334,7 @@ impl AxisConfig {
     pub fn command_source(&self, log: Option<&Path>) -> CommandSource {
         let mapping = self.signals.get(&Signal::Command).cloned().unwrap_or_default();
         let scale = self.selection.scale.unwrap_or(mapping.scale);
-        let log = log.map_or("LOG".to_owned(), |log| shell_word(&log.display().to_string()));
+        let log = log.map_or("LOG".to_owned(), |log| shell_word(&seepd_logs::log_name(log)));
         CommandSource { log, scale, offset: mapping.offset }
     }
 

@@ -112,7 +112,7 @@ impl PlayedLog {
         let place = path.to_owned();
         let open_now = move || opened.map_or_else(|| open(&place, &mapping), Ok);
         let speed = (config.source.pace == Pace::Recorded).then_some(1.0);
-        let health = SourceHealth { name: path.display().to_string(), ..SourceHealth::default() };
+        let health = SourceHealth { name: seepd_logs::log_name(path), ..SourceHealth::default() };
         PlayedLog::play(&config.axis, open_now, health, speed, clock)
     }
 

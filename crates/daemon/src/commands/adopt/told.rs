@@ -31,7 +31,7 @@ fn say(text: std::fmt::Arguments<'_>) {
 pub(super) fn signals(log: &Path, columns: &Columns, proposal: &SignalProposal) {
     say(format_args!(
         "Signals of {} ({} columns at {:.1} Hz)",
-        log.display(),
+        seepd_logs::log_name(log),
         columns.columns.len(),
         columns.rate_hz
     ));
