@@ -25,6 +25,7 @@ mod gap_next_test;
 mod gap_simulator;
 mod log_formats;
 mod models;
+mod pages;
 mod parquet;
 mod quality;
 mod reports;

@@ -70,8 +70,8 @@ enum Command {
     Man(commands::shell::ManArguments),
 }
 
-/// The command line's description, for completions and manual pages.
-pub(crate) fn description() -> clap::Command {
+/// The command line's description, for completions, manual pages, and whoever holds a command line against it.
+pub fn description() -> clap::Command {
     Arguments::command()
 }
 
