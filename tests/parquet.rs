@@ -1,12 +1,10 @@
 //! Cycles as Parquet, read by pyarrow, which is not ours.
 
-use std::io::Write;
 use std::path::Path;
-use std::process::Command;
 
 use serde_json::Value;
 
-use crate::support::{fixture, seepd, simulate, stderr, stdout};
+use crate::support::{fixture, python, seepd, simulate, stderr, stdout};
 
 /// What pyarrow reads: the rows as JSON, times as ns, and what the columns are.
 const READ: &str = "
@@ -24,16 +22,9 @@ facts = {'groups': file.num_row_groups, 'schema': table.schema.metadata[b'seepd.
 print(json.dumps({'types': types, 'rows': rows, **facts}))
 ";
 
-/// What pyarrow reads of a file; `None`, and a word, where it is not installed.
+/// What pyarrow reads of a file, if it is here.
 fn read_by_pyarrow(path: &Path) -> Option<Value> {
-    let Ok(run) = Command::new("python3").args(["-c", READ]).arg(path).output() else {
-        let _ = writeln!(std::io::stderr(), "left out: no python3");
-        return None;
-    };
-    if stderr(&run).contains("ModuleNotFoundError") {
-        let _ = writeln!(std::io::stderr(), "left out: pyarrow is not installed (tools/requirements.txt)");
-        return None;
-    }
+    let run = python("pyarrow.parquet")?.args(["-c", READ]).arg(path).output().unwrap();
     Some(serde_json::from_str(&stdout(&run)).unwrap())
 }
 

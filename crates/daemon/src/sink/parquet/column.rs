@@ -4,8 +4,8 @@
 use std::io;
 
 use parquet::basic::{Repetition, Type as Physical};
-use parquet::column::writer::ColumnWriter;
-use parquet::data_type::ByteArray;
+use parquet::column::writer::{ColumnWriter, ColumnWriterImpl};
+use parquet::data_type::{ByteArray, DataType};
 use parquet::errors::ParquetError;
 use parquet::schema::types::{ColumnDescriptor, Type};
 use serde_json::Value;
@@ -78,30 +78,37 @@ impl Column {
 
     /// Writes what is held, which is then no longer held.
     pub(super) fn write(&mut self, writer: &mut ColumnWriter<'_>) -> Result<(), ParquetError> {
-        let (definitions, repetitions) = (Some(&*self.definitions), Some(&*self.repetitions));
+        let levels = (&*self.definitions, &*self.repetitions);
         match (&mut self.values, writer) {
             (Values::Flags(values), ColumnWriter::BoolColumnWriter(writer)) => {
-                writer.write_batch(values, definitions, repetitions)?;
-                values.clear();
+                hand_over(values, levels, writer)
             }
             (Values::Integers(values), ColumnWriter::Int64ColumnWriter(writer)) => {
-                writer.write_batch(values, definitions, repetitions)?;
-                values.clear();
+                hand_over(values, levels, writer)
             }
             (Values::Numbers(values), ColumnWriter::DoubleColumnWriter(writer)) => {
-                writer.write_batch(values, definitions, repetitions)?;
-                values.clear();
+                hand_over(values, levels, writer)
             }
             (Values::Texts(values), ColumnWriter::ByteArrayColumnWriter(writer)) => {
-                writer.write_batch(values, definitions, repetitions)?;
-                values.clear();
+                hand_over(values, levels, writer)
             }
-            _ => return Err(ParquetError::General("a column of another type than its schema's".to_owned())),
-        }
+            _ => Err(ParquetError::General("a column of another type than its schema's".to_owned())),
+        }?;
         self.definitions.clear();
         self.repetitions.clear();
         Ok(())
     }
+}
+
+/// Writes values with their levels of definition and repetition, and holds none of the values any more.
+fn hand_over<T: DataType>(
+    values: &mut Vec<T::T>,
+    (definitions, repetitions): (&[i16], &[i16]),
+    writer: &mut ColumnWriterImpl<'_, T>,
+) -> Result<(), ParquetError> {
+    writer.write_batch(values, Some(definitions), Some(repetitions))?;
+    values.clear();
+    Ok(())
 }
 
 /// Lays an object out over the columns of a schema.
