@@ -216,8 +216,8 @@ impl<R: Read + Seek> McapFile<R> {
         Ok(false)
     }
 
-    /// Hands the schemas, channels and entries of the index in the file's summary, by opcode and content, to `take`: where the chunk that announced
-    /// a channel is damaged, the summary still knows it. Reading goes on where it stood.
+    /// Hands the schemas, channels and entries of the index in the file's summary, by opcode and content, to `take`: where the chunk
+    /// that announced a channel is damaged, the summary still knows it. Reading goes on where it stood.
     ///
     /// # Errors
     /// Reading failed; a summary that is missing or damaged is an empty one.
