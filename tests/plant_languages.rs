@@ -536,10 +536,10 @@ fn foxglove_hears_command_estimates_conditions_and_events_and_a_client_that_hang
         sink(port, "foxglove")
     );
     let status = &json(port, "/api/v1/status")["axes"][1];
-    assert_eq!(
-        (&status["axis"], &status["stale"], &status["source"]["missing_by_counter"]),
-        (&"silent".into(), &false.into(), &0.into())
-    );
+    assert_eq!((&status["axis"], &status["stale"]), (&"silent".into(), &false.into()));
+    // The machine gives a frame up after 0.3 s: a client that held the axis would cost dozens, a computer that stood still for a moment one.
+    let missing = status["source"]["missing_by_counter"].as_u64().unwrap();
+    assert!(missing <= 2, "{missing} frames were not taken");
     machine.stop();
     let (status, took) = daemon.terminate();
     assert!(status.success() && took < Duration::from_secs(3), "{status} {took:?}");
