@@ -29,6 +29,9 @@ const LEAST_PERIOD: f64 = 0.01;
 const LOAD: f64 = 0.05;
 /// How far a valve's flow gain may be off at its null, share to either side: a healthy log does not show it, and data sheets allow more.
 const NULL_DEVIATION: f64 = 0.3;
+/// How far a calibrated plant may be wrong about what a leak does to a phase, share: what cells of causes are given for laws that nobody has
+/// simulated.
+const RESPONSE_ERROR: f64 = 0.2;
 /// Cosine of a cause's response and a leak's from which on they are one class: the plant is not the machine, and responses are known less
 /// well.
 const ALIKE_FROM: f64 = 0.9;
@@ -124,6 +127,7 @@ impl TrainingBasis {
                 unknown_contact: self.unknown_contact,
                 unknown_seal: true,
                 null_deviation: NULL_DEVIATION,
+                response_error: RESPONSE_ERROR,
                 ..Conditions::default()
             },
             ..usual

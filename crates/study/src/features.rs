@@ -114,6 +114,7 @@ pub(crate) fn presses(spec: &MachineSpec, areas_m2: &[f64], stream: u64) -> Vec<
             leak_area_m2: *area,
             laminar_share: 0.0,
             null_deviation: 0.0,
+            extra_deadband: 0.0,
             stream,
         })
         .collect()

@@ -59,7 +59,16 @@ impl Spread {
         let laminar_share = if self.unknown_seal { unknown_seal::laminar_share(noise) } else { 0.0 };
         let widest = self.null_deviation;
         let null_deviation = if widest > 0.0 { noise.uniform(-widest, widest) } else { 0.0 };
-        Observation { spec, load_factor, stretch, leak_area_m2: 0.0, laminar_share, null_deviation, stream }
+        Observation {
+            spec,
+            load_factor,
+            stretch,
+            leak_area_m2: 0.0,
+            laminar_share,
+            null_deviation,
+            extra_deadband: 0.0,
+            stream,
+        }
     }
 }
 
@@ -78,6 +87,8 @@ pub struct Observation {
     pub laminar_share: f64,
     /// By what share the leak that is held against at the valve's null is larger than the true one.
     pub null_deviation: f64,
+    /// Half width of the dead band that its valve has beside the series' own, share of full command.
+    pub extra_deadband: f64,
     /// Number of the random stream for its noise.
     pub stream: u64,
 }
@@ -271,6 +282,7 @@ mod tests {
                 leak_area_m2,
                 laminar_share: 0.0,
                 null_deviation: 0.0,
+                extra_deadband: 0.0,
                 stream: 0,
             }
         };
@@ -328,6 +340,7 @@ mod tests {
                 leak_area_m2: 0.0,
                 laminar_share: 0.0,
                 null_deviation: 0.0,
+                extra_deadband: 0.0,
                 stream: 49,
             };
             let ticks = simulate(&[one], |_, commands| commands.len())[0] as f64;

@@ -14,6 +14,7 @@ mod pca;
 pub mod portions;
 pub mod relative;
 pub mod report;
+mod response_error;
 mod search;
 pub mod train;
 mod unknown_contact;

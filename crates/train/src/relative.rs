@@ -28,7 +28,7 @@ use crate::out_of_distribution;
 use crate::portions::Portions;
 use crate::report::NOISE_LEVELS;
 use crate::train::{TrainError, TrainingSettings};
-use crate::{unknown_contact, unknown_seal};
+use crate::{response_error, unknown_contact, unknown_seal};
 
 /// Cycles that a baseline is the mean of.
 pub const BASELINE_CYCLES: usize = 50;
@@ -61,6 +61,8 @@ pub struct Conditions {
     pub unknown_seal: bool,
     /// How far the flow gain of a machine's valve may be off at its null, share to either side.
     pub null_deviation: f64,
+    /// Standard deviation of a machine's own error in what a change does to a phase, share.
+    pub response_error: f64,
 }
 
 impl Default for Conditions {
@@ -76,6 +78,7 @@ impl Default for Conditions {
             unknown_contact: false,
             unknown_seal: false,
             null_deviation: 0.0,
+            response_error: 0.0,
         }
     }
 }
@@ -90,11 +93,13 @@ impl Conditions {
             leak_area_m2: 0.0,
             laminar_share: 0.0,
             null_deviation: 0.0,
+            extra_deadband: 0.0,
             stream: 0,
         };
         let (share, widest) = self.deadband;
         if noise.uniform(0.0, 1.0) < share {
-            observation.spec = series::with_more_deadband(&observation.spec, noise.uniform(0.0, widest));
+            observation.extra_deadband = noise.uniform(0.0, widest);
+            observation.spec = series::with_more_deadband(&observation.spec, observation.extra_deadband);
         }
         if self.unknown_contact {
             unknown_contact::put_on(&mut observation.spec, noise);
@@ -160,7 +165,7 @@ fn leak_at(leaks: LeakRange, rank: f64) -> f64 {
 #[derive(Debug, Clone)]
 struct Pair {
     leak_area_m2: f64,
-    /// Half width of the dead band beyond the plant file's.
+    /// Half width of the dead band beside the series' own.
     deadband: f64,
     load_change: f64,
     readings: Vec<PairReading>,
@@ -278,12 +283,13 @@ impl PairSimulator<'_> {
             for (machine, group) in read.chunks(per_machine).enumerate() {
                 let (moments, days) = group.split_at(BASELINE_MOMENTS.min(group.len()));
                 let Some(baseline) = mean_of(moments) else { continue };
+                let stream = (purpose << 32) + (from + machine) as u64;
                 for (cycle, present) in days.iter().enumerate() {
                     let at = machine * per_machine + BASELINE_MOMENTS + cycle;
                     let Some(present) = present else { continue };
                     pairs.push(Pair {
                         leak_area_m2: observations[at].leak_area_m2,
-                        deadband: series::deadband(&observations[at].spec) - series::deadband(self.spec),
+                        deadband: observations[at].extra_deadband,
                         load_change: loads[at] - 1.0,
                         readings: baseline
                             .iter()
@@ -291,7 +297,7 @@ impl PairSimulator<'_> {
                             .map(|(baseline, (noise, present))| PairReading {
                                 noise: *noise,
                                 baseline: baseline.clone(),
-                                present: present.clone(),
+                                present: self.as_the_machine_answers(stream, baseline, present),
                             })
                             .collect(),
                     });
@@ -300,6 +306,17 @@ impl PairSimulator<'_> {
             tell(to);
         }
         Ok(pairs)
+    }
+
+    /// A later cycle's means with the machine's own error.
+    fn as_the_machine_answers(&self, stream: u64, baseline: &[f64], present: &[f64]) -> Vec<f64> {
+        let mut present = present.to_vec();
+        let share = self.settings.conditions.response_error;
+        if share > 0.0 {
+            let mut noise = Noise::new(self.settings.seed ^ 0x0072_6573_706f_6e64, stream);
+            response_error::put_on(&mut present, baseline, share, &mut noise);
+        }
+        present
     }
 
     /// A machine's cycles with their loads: those of its baseline, then others. `leak_of` has the leak of a cycle and a number in 0 … 1.

@@ -256,6 +256,7 @@ mod tests {
             leak_area_m2: 0.0,
             laminar_share: 0.0,
             null_deviation: 0.0,
+            extra_deadband: 0.0,
             stream: 0,
         };
         let kind = cause.map(|cause| Kind { cause, side: None, unit: SizeUnit::Share });

@@ -68,6 +68,7 @@ fn two_days(
         leak_area_m2: 0.0,
         laminar_share: 0.0,
         null_deviation: 0.0,
+        extra_deadband: 0.0,
         stream,
     };
     let mut on_a_day = || {
