@@ -1,5 +1,6 @@
 //! How well a hypothesis explains a change: a normal likelihood whose covariance is that of a factor analysis, by Woodbury's identity.
 
+use super::sizes::{Cut, cut};
 use super::{Causes, Cell, Change, MAX_NUMBERS, MAX_RANK};
 
 /// Most directions of a hypothesis: those of two cells.
@@ -59,15 +60,22 @@ pub(super) struct Fit {
 }
 
 impl Fit {
-    /// Size of each fitted cell's cause, and its variance. Apart from the fit, since of hundreds of hypotheses few have any weight.
-    pub(super) fn sizes(&self, cells: &[&Cell]) -> [(f64, f64); 2] {
-        let mut sizes = [(0.0, 0.0); 2];
+    /// Size of each fitted cell's cause, cut to what training has simulated. Apart from the fit, since of hundreds of hypotheses few have
+    /// any weight.
+    pub(super) fn sizes(&self, cells: &[&Cell]) -> [Cut; 2] {
+        let mut sizes = [Cut { log_share: 0.0, mean: 0.0, variance: 0.0 }; 2];
         let mut from = 0;
         for (slot, cell) in sizes.iter_mut().zip(cells) {
-            *slot = size(cell, from, &self.along, (&self.factor, self.rank, self.scale));
+            let uncut = size(cell, from, &self.along, (&self.factor, self.rank, self.scale));
+            *slot = cut(uncut, cell.simulated);
             from += cell.rank;
         }
         sizes
+    }
+
+    /// Logarithm of the likelihood with the sizes cut to what training has simulated.
+    pub(super) fn log_likelihood_of_simulated_sizes(&self, cells: &[&Cell]) -> f64 {
+        self.log_likelihood + self.sizes(cells).iter().map(|size| size.log_share).sum::<f64>()
     }
 }
 

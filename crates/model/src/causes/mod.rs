@@ -8,6 +8,7 @@
 mod alike;
 mod bound;
 mod fit;
+mod sizes;
 mod verdict;
 
 use alloc::format;
@@ -195,6 +196,8 @@ struct Cell {
     has_other_law: bool,
     size: f64,
     rest: f64,
+    /// The sizes of its cause that training has simulated, with this sign.
+    simulated: [f64; 2],
     error: f64,
     rank: usize,
     loadings: [f64; MAX_RANK],
@@ -221,6 +224,8 @@ const PRIOR_NONE: f64 = 0.25;
 const PRIOR_SEAL: f64 = 0.25;
 const PRIOR_OTHER: f64 = 0.42;
 const PRIOR_PAIR: f64 = 0.08;
+/// Share of a seal that leaks less than at the baseline among changes of the seal: only a new one does.
+const SHARE_OF_LESS: f64 = 0.02;
 
 impl Causes {
     /// Checks what training has made.
@@ -252,6 +257,7 @@ impl Causes {
                 has_other_law: cell.other_law && cell.kind.cause == Cause::PistonSeal,
                 size: cell.size,
                 rest: cell.size_rest,
+                simulated: [0.0; 2],
                 error: cell.error,
                 rank: cell.directions.len(),
                 loadings,
@@ -260,6 +266,7 @@ impl Causes {
             let all = cell.mean.iter().chain(cell.directions.iter().flatten());
             numbers.extend(all.map(|value| f64::from(*value)));
         }
+        sizes::mark_simulated(&mut cells);
         let priors = priors(&kinds, &cells);
         let mut leaks: Vec<usize> =
             (0..cells.len()).filter(|index| cells[*index].is_seal && cells[*index].size > 0.0).collect();
@@ -305,9 +312,16 @@ fn priors(kinds: &[Kind], cells: &[Cell]) -> Vec<[f64; 2]> {
     cells
         .iter()
         .map(|cell| {
-            let siblings = cells.iter().filter(|other| cause_of(other) == cause_of(cell)).count() as f64;
-            let [alone, beside] =
-                if cell.is_seal { [PRIOR_SEAL, 1.0] } else { [PRIOR_OTHER / count, PRIOR_PAIR / count] };
+            let is_sibling = |other: &&Cell| {
+                cause_of(other) == cause_of(cell)
+                    && (!cell.is_seal || (other.size > 0.0) == (cell.size > 0.0))
+            };
+            let siblings = cells.iter().filter(is_sibling).count() as f64;
+            let [alone, beside] = match (cell.is_seal, cell.size > 0.0) {
+                (true, true) => [PRIOR_SEAL * (1.0 - SHARE_OF_LESS), 1.0],
+                (true, false) => [PRIOR_SEAL * SHARE_OF_LESS, SHARE_OF_LESS],
+                (false, _) => [PRIOR_OTHER / count, PRIOR_PAIR / count],
+            };
             [libm::log(alone / siblings), libm::log(beside / siblings)]
         })
         .collect()

@@ -1,6 +1,7 @@
 //! From likelihoods to a verdict: posterior probabilities of causes, with sizes, and what the other cause does to the phases' means.
 
 use super::fit::{Fit, Whitened};
+use super::sizes::Cut;
 use super::{
     Cause, Causes, Cell, Change, Kind, MAX_CELLS, MAX_KINDS, MAX_NUMBERS, PRIOR_NONE, Side, SizeUnit,
 };
@@ -143,10 +144,10 @@ struct Tally {
 }
 
 impl Tally {
-    fn add(&mut self, weight: f64, (size, variance): (f64, f64)) {
+    fn add(&mut self, weight: f64, Cut { mean, variance, .. }: Cut) {
         self.weight += weight;
-        self.size += weight * size;
-        self.square += weight * (variance + size * size);
+        self.size += weight * mean;
+        self.square += weight * (variance + mean * mean);
     }
 
     /// As a law of leaks that have some probability in all.
@@ -202,6 +203,12 @@ impl Causes {
     }
 }
 
+/// Logarithm of a hypothesis's weight; its sizes are looked at where it may have any beside the best.
+fn weight(log_prior: f64, fit: &Fit, cells: &[&Cell], best: f64) -> f64 {
+    let most = log_prior + fit.log_likelihood;
+    if most < best + NEGLIGIBLE { most } else { log_prior + fit.log_likelihood_of_simulated_sizes(cells) }
+}
+
 impl<'c, const N: usize> Weighed<'c, N> {
     fn of(causes: &'c Causes, whitened: Whitened<N>) -> Self {
         let nothing = causes.fit(&whitened, &[]);
@@ -220,7 +227,7 @@ impl<'c, const N: usize> Weighed<'c, N> {
         for (index, (cell, [prior, beside])) in causes.cells.iter().zip(&causes.priors).enumerate() {
             let laid = causes.lay(&weighed.whitened, &[cell]);
             let fit = laid.moments.fit(weighed.whitened.count);
-            let weight = prior + fit.log_likelihood;
+            let weight = weight(*prior, &fit, &[cell], best);
             weighed.alone[index] = weight;
             weighed.note(&mut best, weight, &fit);
             if let Some(AnyLeak { directions, error, left }) = leak.filter(|_| causes.adds_to_a_leak(cell)) {
@@ -268,7 +275,8 @@ impl<'c, const N: usize> Weighed<'c, N> {
             let mut in_vain = 0;
             for (at, seal) in leaks {
                 let fit = causes.fit(&self.whitened, &[&causes.cells[seal], &causes.cells[other]]);
-                let log_weight = causes.priors[seal][1] + causes.priors[other][1] + fit.log_likelihood;
+                let prior = causes.priors[seal][1] + causes.priors[other][1];
+                let log_weight = weight(prior, &fit, &[&causes.cells[seal], &causes.cells[other]], *best);
                 self.note(best, log_weight, &fit);
                 self.keep(Pair { seal, other, log_weight });
                 if log_weight > likeliest {
