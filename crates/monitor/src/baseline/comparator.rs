@@ -218,7 +218,11 @@ impl BaselineComparator {
             let counted =
                 explained.as_ref().map_or(1.0, |explained| cause::share_of_seal(&explained.explanation));
             let residual_m2 = counted * estimate.leak_residual_m2;
-            let limits = self.limits(relative, load_change.is_some(), is_beyond_training);
+            let mut limits = self.limits(relative, load_change.is_some(), is_beyond_training);
+            if explained.as_ref().is_some_and(cause::is_surely_a_leak) {
+                // What load, oil and supply may do has been weighed already.
+                limits.reference_m2 = 0.0;
+            }
             self.cusum.take(residual_m2, &limits);
             if self.cusum.cycles_since_onset() == 0 {
                 self.trend.clear();

@@ -47,6 +47,16 @@ fn against(seal: f64, others: f64) -> f64 {
     (seal / others.max(f64::MIN_POSITIVE)).min(1.0)
 }
 
+/// Whether the seal leaks and nothing that load, oil and supply do explains it: named for some cycles, with an interval that begins above 0.
+pub(crate) fn is_surely_a_leak(explained: &Explained) -> bool {
+    let explanation = &explained.explanation;
+    let names_the_seal = matches!(explanation.verdict, ChangeVerdict::Named(Cause::PistonSeal, _));
+    let seal = explanation.candidate(Cause::PistonSeal);
+    names_the_seal
+        && explained.agreeing >= TOLD_AFTER
+        && seal.is_some_and(|seal| seal.probability >= CERTAIN && seal.interval90[0] > 0.0)
+}
+
 /// Whether a cause's response is taken off the phases' means before the leak is sized. The comparison knows load, oil and supply as
 /// conditions by itself, as far as training has seen them.
 pub(crate) fn is_taken_off(kind: Kind, knows_load: bool, is_beyond_training: bool) -> bool {
