@@ -91,6 +91,8 @@ struct Signals {
     reload: Signal,
     terminate: Signal,
     interrupt: Signal,
+    /// A file has reached the size that the process may give one: the write that failed says so itself, and the signal must end nothing.
+    _file_size: Signal,
 }
 
 impl Signals {
@@ -104,6 +106,7 @@ impl Signals {
             reload: listen(SignalKind::hangup())?,
             terminate: listen(SignalKind::terminate())?,
             interrupt: listen(SignalKind::interrupt())?,
+            _file_size: listen(SignalKind::from_raw(nix::libc::SIGXFSZ))?,
         })
     }
 }
@@ -239,7 +242,7 @@ impl Daemon {
     /// Works until told to stop, or until all axes have ended. Without a configuration file there is nothing to reload: a terminal that
     /// hangs up ends it.
     async fn work(&mut self, path: Option<&Path>, signals: Signals) -> Result<(), Failure> {
-        let Signals { mut reload, mut terminate, mut interrupt } = signals;
+        let Signals { mut reload, mut terminate, mut interrupt, _file_size } = signals;
         let mut kept = self.keeper.changes();
         let mut events = self.hub.subscribe(EVENTS);
         let watch_every = self.watchdog.every.unwrap_or(LOOK);
