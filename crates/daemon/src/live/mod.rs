@@ -1,7 +1,7 @@
 //! The live daemon: axes from their sources to the sinks, started, reloaded, watched and stopped as a service.
 //!
-//! One thread runs all of it but the disks: each axis is a task that reads its source and pushes into its pipeline, each
-//! sink a task that hears the [`Hub`]. Nothing but the hub knows both sides.
+//! One thread runs all of it but the disks and the page: each axis is a task that reads its source and pushes into its pipeline, each
+//! sink a task that hears the [`Hub`]. Nothing but the hub knows both sides. The page has a thread of its own, since anybody may keep it busy.
 
 mod axis;
 mod commission;
