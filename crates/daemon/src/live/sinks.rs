@@ -318,10 +318,16 @@ fn on_own_thread(
         |error| Failure::new(Code::Internal, format!("the page cannot be served in the background: {error}"));
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
     let (end, ended) = oneshot::channel();
+    // Axes that are started behind it say first what they know from before: nobody is to be told that they know nothing.
+    let (begin, begun) = oneshot::channel::<()>();
+    tokio::spawn(async {
+        tokio::task::yield_now().await;
+        drop(begin);
+    });
     let serve_until_told = move || {
         runtime.block_on(async {
             tokio::select! {
-                () = serve => {}
+                () = async { let _ = begun.await; serve.await } => {}
                 () = async { let _ = stop.changed().await; sleep(ENDING).await } => {}
             }
         });
