@@ -110,9 +110,11 @@ impl Waiting {
         self.seats.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Ends the one that has waited longest; `false` where there is none.
+    /// Ends the one that has waited longest; `false` where there is none beside the one that came last, which has not had its turn.
     fn end_longest(&self) -> bool {
-        let longest = self.lock().1.pop_first();
+        let mut seats = self.lock();
+        let longest = if seats.1.len() > 1 { seats.1.pop_first() } else { None };
+        drop(seats);
         longest.is_some_and(|(_, end)| {
             end.notify_one();
             true
