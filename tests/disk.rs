@@ -14,11 +14,11 @@ use crate::support::{fixture, seepd, simulate, stderr, stdout};
 const SOON: Duration = Duration::from_secs(20);
 
 /// A small disk of its own; unmounted with its test.
-struct SmallDisk(PathBuf);
+pub(crate) struct SmallDisk(PathBuf);
 
 impl SmallDisk {
     /// Mounts it; says so where this user may not.
-    fn mount(place: &Path, size: &str) -> Option<Self> {
+    pub(crate) fn mount(place: &Path, size: &str) -> Option<Self> {
         fs::create_dir_all(place).unwrap();
         let options = format!("size={size}");
         let mounted =
@@ -31,7 +31,7 @@ impl SmallDisk {
     }
 
     /// Fills it to the last byte.
-    fn fill(&self) -> PathBuf {
+    pub(crate) fn fill(&self) -> PathBuf {
         let ballast = self.0.join("ballast");
         let mut file = fs::File::create(&ballast).unwrap();
         while file.write_all(&[1; 4096]).is_ok() {}

@@ -4,8 +4,14 @@
 
 mod broker;
 mod bus;
+mod clocks;
+mod determinism;
+mod disks;
 mod logs;
 mod model;
+mod patient;
+mod reloads;
+mod web;
 
 /// How many sequences to try: as many as SEEPD_SEQUENCES says, else so many.
 fn sequences(short: u32) -> u32 {

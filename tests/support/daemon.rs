@@ -18,6 +18,11 @@ fn program() -> PathBuf {
     std::env::var_os("SEEPD_BIN").map_or_else(|| env!("CARGO_BIN_EXE_seepd").into(), PathBuf::from)
 }
 
+/// Where a daemon of a folder logs to.
+fn log_file(folder: &Path) -> fs::File {
+    fs::OpenOptions::new().create(true).append(true).open(folder.join("daemon.log")).unwrap()
+}
+
 /// A running daemon; killed with its test.
 pub(crate) struct Daemon {
     pub(crate) child: Child,
@@ -32,29 +37,33 @@ impl Daemon {
 
     /// Starts it with more of an environment.
     pub(crate) fn start_with(folder: &Path, config: &str, environment: &[(&str, &str)]) -> Self {
-        Self::spawn(folder, config, environment, Stdio::null())
+        Self::spawn(folder, config, environment, Stdio::null(), log_file(folder).into())
+    }
+
+    /// Starts it with something else to log to than a file.
+    pub(crate) fn start_logging_to(folder: &Path, config: &str, log: Stdio) -> Self {
+        Self::spawn(folder, config, &[], Stdio::null(), log)
     }
 
     /// Starts it with a file as standard input.
     pub(crate) fn start_reading(folder: &Path, config: &str, input: &fs::File) -> Self {
-        Self::spawn(folder, config, &[], Stdio::from(input.try_clone().unwrap()))
+        let input = Stdio::from(input.try_clone().unwrap());
+        Self::spawn(folder, config, &[], input, log_file(folder).into())
     }
 
-    fn spawn(folder: &Path, config: &str, environment: &[(&str, &str)], input: Stdio) -> Self {
+    fn spawn(folder: &Path, config: &str, environment: &[(&str, &str)], input: Stdio, log: Stdio) -> Self {
         let path = folder.join("seepd.toml");
         fs::write(&path, config).unwrap();
-        let log = folder.join("daemon.log");
-        let file = fs::OpenOptions::new().create(true).append(true).open(&log).unwrap();
         let child = Command::new(program())
             .args(["run", "--config"])
             .arg(&path)
             .envs(environment.iter().copied())
             .stdin(input)
             .stdout(Stdio::null())
-            .stderr(file)
+            .stderr(log)
             .spawn()
             .unwrap();
-        Daemon { child, log }
+        Daemon { child, log: folder.join("daemon.log") }
     }
 
     /// What it has logged.

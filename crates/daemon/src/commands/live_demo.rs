@@ -27,7 +27,7 @@ pub struct LiveDemoArguments {
 /// # Errors
 /// [`Failure`] where the port is taken, or there is no temporary folder.
 pub fn run(arguments: &LiveDemoArguments, seed: u64) -> Result<Outcome, Failure> {
-    journal::begin("warn")?;
+    let _journal = journal::begin("warn")?;
     let demo = LiveDemo { speed: f64::from(arguments.speed), seed, port: arguments.port };
     let tell = |address| {
         let text = format!(

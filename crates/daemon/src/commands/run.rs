@@ -30,7 +30,7 @@ pub struct RunArguments {
 /// # Errors
 /// [`Failure`] where the configuration cannot be used.
 pub fn run(arguments: &RunArguments) -> Result<Outcome, Failure> {
-    journal::begin(&arguments.log_level)?;
+    let _journal = journal::begin(&arguments.log_level)?;
     let result = runtime()?.block_on(live::run(&arguments.config));
     if let Err(failure) = &result {
         tracing::error!("{failure}");

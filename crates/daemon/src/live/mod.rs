@@ -1,7 +1,7 @@
 //! The live daemon: axes from their sources to the sinks, started, reloaded, watched and stopped as a service.
 //!
-//! One thread runs all of it but the disks: each axis is a task that reads its source and pushes into its pipeline, each
-//! sink a task that hears the [`Hub`]. Nothing but the hub knows both sides.
+//! One thread runs all of it but the disks and the page: each axis is a task that reads its source and pushes into its pipeline, each
+//! sink a task that hears the [`Hub`]. Nothing but the hub knows both sides. The page has a thread of its own, since anybody may keep it busy.
 
 mod axis;
 mod commission;
@@ -91,6 +91,8 @@ struct Signals {
     reload: Signal,
     terminate: Signal,
     interrupt: Signal,
+    /// A file has reached the size that the process may give one: the write that failed says so itself, and the signal must end nothing.
+    _file_size: Signal,
 }
 
 impl Signals {
@@ -104,6 +106,7 @@ impl Signals {
             reload: listen(SignalKind::hangup())?,
             terminate: listen(SignalKind::terminate())?,
             interrupt: listen(SignalKind::interrupt())?,
+            _file_size: listen(SignalKind::from_raw(nix::libc::SIGXFSZ))?,
         })
     }
 }
@@ -239,7 +242,7 @@ impl Daemon {
     /// Works until told to stop, or until all axes have ended. Without a configuration file there is nothing to reload: a terminal that
     /// hangs up ends it.
     async fn work(&mut self, path: Option<&Path>, signals: Signals) -> Result<(), Failure> {
-        let Signals { mut reload, mut terminate, mut interrupt } = signals;
+        let Signals { mut reload, mut terminate, mut interrupt, _file_size } = signals;
         let mut kept = self.keeper.changes();
         let mut events = self.hub.subscribe(EVENTS);
         let watch_every = self.watchdog.every.unwrap_or(LOOK);

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
-use tokio::sync::watch;
+use tokio::sync::{oneshot, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 
@@ -119,6 +119,8 @@ pub(super) struct RunningSink {
 
 pub(super) enum Ending {
     Task(JoinHandle<()>),
+    /// Says when the page's thread has ended.
+    Page(oneshot::Receiver<()>),
     Thread(Recorder, thread::JoinHandle<()>),
 }
 
@@ -265,7 +267,7 @@ impl Daemon {
         Ok(())
     }
 
-    /// Starts the page; `serve` opens its port, or has it already.
+    /// Starts the page on a thread of its own, so that clients, however many, hold up no sample; `serve` opens its port, or has it already.
     pub(super) fn serve_page<S: Future<Output = ()> + Send + 'static>(
         &mut self,
         http: &HttpConfig,
@@ -273,7 +275,7 @@ impl Daemon {
     ) -> Result<(), Failure> {
         let (stop, stopped) = watch::channel(false);
         let site = Http::new(http, Arc::clone(&self.hub), self.clock, stopped.clone())?;
-        let task = Ending::Task(tokio::spawn(serve(site, stopped)));
+        let task = Ending::Page(on_own_thread(serve(site, stopped.clone()), stopped)?);
         let config = SinkConfig::Http(http.clone());
         let (files, name) = (stamps(config.files()), config.name());
         self.sinks.push(RunningSink { config, files, name, stop, task });
@@ -295,6 +297,7 @@ impl RunningSink {
         self.stop.send_replace(true);
         match self.task {
             Ending::Task(task) => end_task(task).await,
+            Ending::Page(ended) => drop(timeout(2 * ENDING, ended).await),
             Ending::Thread(recorder, thread) => {
                 let end = tokio::task::spawn_blocking(move || {
                     recorder.stop();
@@ -304,6 +307,35 @@ impl RunningSink {
             }
         }
     }
+}
+
+/// Serves on a thread that nothing else waits for; once told to stop it has its time to end by itself.
+fn on_own_thread(
+    serve: impl Future<Output = ()> + Send + 'static,
+    mut stop: watch::Receiver<bool>,
+) -> Result<oneshot::Receiver<()>, Failure> {
+    let failed =
+        |error| Failure::new(Code::Internal, format!("the page cannot be served in the background: {error}"));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
+    let (end, ended) = oneshot::channel();
+    // Axes that are started behind it say first what they know from before: nobody is to be told that they know nothing.
+    let (begin, begun) = oneshot::channel::<()>();
+    tokio::spawn(async {
+        tokio::task::yield_now().await;
+        drop(begin);
+    });
+    let serve_until_told = move || {
+        runtime.block_on(async {
+            tokio::select! {
+                () = async { let _ = begun.await; serve.await } => {}
+                () = async { let _ = stop.changed().await; sleep(ENDING).await } => {}
+            }
+        });
+        runtime.shutdown_background();
+        let _ = end.send(());
+    };
+    thread::Builder::new().name("page".into()).spawn(serve_until_told).map_err(failed)?;
+    Ok(ended)
 }
 
 /// Opens the port as soon as it is free, and serves.

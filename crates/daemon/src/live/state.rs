@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
-use std::os::unix::fs::OpenOptionsExt;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -215,7 +215,9 @@ impl Keeper {
     /// Writing failed, or another process has taken the folder while this one could not.
     pub fn write(&self, folder: &Path, axes: BTreeMap<String, AxisState>) -> io::Result<()> {
         let mut lock = self.lock.lock().unwrap_or_else(PoisonError::into_inner);
-        if lock.is_none() {
+        // A disk that has gone has taken the lock with it, and the one that comes in its place has none.
+        if !lock.as_ref().is_some_and(|lock| lock.is_of(folder)) {
+            *lock = None;
             *lock = Some(FolderLock::take(folder)?);
         }
         drop(lock);
@@ -276,7 +278,7 @@ fn take_up<T: Default>(path: &Path, what: &str, parse: impl FnOnce(&[u8]) -> Res
 }
 
 /// Keeps other processes from a state folder for as long as it lives; the system lifts it with the process, however that ends.
-struct FolderLock(#[expect(dead_code, reason = "held, not read")] File);
+struct FolderLock(File);
 
 impl FolderLock {
     /// Takes a folder, which is made where it is missing.
@@ -304,6 +306,12 @@ impl FolderLock {
         // The number is for people; on a full disk the lock holds without it.
         let _ = file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id()));
         Ok(FolderLock(file))
+    }
+
+    /// Whether it is the lock of what a folder is now.
+    fn is_of(&self, folder: &Path) -> bool {
+        let facts = (self.0.metadata(), fs::symlink_metadata(folder.join(LOCK_NAME)));
+        matches!(facts, (Ok(held), Ok(there)) if (held.dev(), held.ino()) == (there.dev(), there.ino()))
     }
 }
 
@@ -380,6 +388,18 @@ mod tests {
         let again = Keeper::open(&folder).unwrap();
         assert_eq!(again.restored("press"), Some(state));
         assert_eq!(again.restored("other"), None);
+    }
+
+    #[test]
+    fn a_folder_that_has_gone_is_made_and_locked_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().join("state");
+        let keeper = Keeper::open(&folder).unwrap();
+        keeper.keep("press", AxisState::of_alarm(leaking()));
+        fs::remove_dir_all(&folder).unwrap();
+        keeper.write(&folder, keeper.axes()).unwrap();
+        assert!(folder.join(NAME).exists());
+        assert!(Keeper::open(&folder).is_err(), "nobody else may have it");
     }
 
     #[test]

@@ -10,6 +10,7 @@ mod shelf;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -224,6 +225,12 @@ impl RecordingWriter {
     /// Closes the file where it is full or old, or the disk is.
     fn rotate(&mut self) -> io::Result<()> {
         let Some(file) = &self.file else { return Ok(()) };
+        if !file.is_in_place() {
+            let path = file.path.display();
+            tracing::warn!("the recording {path} is no longer there; another one is begun");
+            self.close()?;
+            return Ok(());
+        }
         let age_min = file.newest_ns.saturating_sub(file.begin_ns) as f64 / 60e9;
         if file.bytes()? >= file.most_bytes
             || age_min >= self.shelf.config.file_min
@@ -344,6 +351,12 @@ impl TapeFile {
         self.handle.sync_data()?;
         self.holds_records |= self.buffered > 0;
         Ok(())
+    }
+
+    /// Whether it still has its name: what is written into a file that was removed, or whose disk has gone, nobody finds.
+    fn is_in_place(&self) -> bool {
+        let facts = (self.handle.metadata(), fs::symlink_metadata(&self.path));
+        matches!(facts, (Ok(own), Ok(there)) if (own.dev(), own.ino()) == (there.dev(), there.ino()))
     }
 
     fn bytes(&self) -> io::Result<u64> {

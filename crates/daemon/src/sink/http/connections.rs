@@ -1,18 +1,26 @@
 //! The page's connections: at most so many, and none that is kept open without use.
 //!
 //! Whoever reaches the port may open connections without a token. Each takes a file descriptor, which state, recording and spool
-//! need too, so that `axum::serve`, which takes any number of them for any time, will not do.
+//! need too, so that `axum::serve`, which takes any number of them for any time, will not do. Nor may those that are taken keep others
+//! out: where there is no room for another one, the one that has said nothing whole for the longest time goes.
 
-use std::pin::pin;
+use std::collections::BTreeMap;
+use std::pin::{Pin, pin};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll};
 use std::time::Duration;
 
 use axum::Router;
+use axum::body::{Body, Bytes};
+use hyper::Request;
+use hyper::body::{Frame, Incoming, SizeHint};
 use hyper::server::conn::http1;
+use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use nix::sys::socket::{setsockopt, sockopt::TcpUserTimeout};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::watch;
+use tokio::sync::{Notify, watch};
 use tokio::task::JoinSet;
 use tokio::time::sleep;
 
@@ -50,18 +58,31 @@ pub(super) async fn serve(
 ) {
     let mut connections = JoinSet::new();
     let mut warnings = Warnings::new(clock::instant());
+    let waiting = Arc::<Waiting>::default();
+    // Whether another one must end before there is room.
+    let mut owes_room = false;
     loop {
         let full = connections.len() >= limits.most;
-        if full {
-            let what = format!("http: {} connections are open; others wait until one ends", limits.most);
-            warnings.warn(clock::instant(), &what);
+        owes_room &= full;
+        if owes_room && waiting.end_longest() {
+            owes_room = false;
         }
         tokio::select! {
             _ = stop.changed() => break,
             Some(_) = connections.join_next() => {}
+            () = waiting.entered.notified(), if owes_room => {}
             accepted = listener.accept(), if !full => match accepted {
                 Ok((stream, _)) => {
-                    connections.spawn(attend(stream, routes.clone(), limits, stop.clone()));
+                    let seat = Seat::take(&waiting);
+                    connections.spawn(attend(stream, seat, routes.clone(), limits, stop.clone()));
+                    if connections.len() >= limits.most {
+                        owes_room = true;
+                        let what = format!(
+                            "http: {} connections are open; the one that has waited longest makes way for each further one",
+                            limits.most
+                        );
+                        warnings.warn(clock::instant(), &what);
+                    }
                 }
                 Err(error) => {
                     warnings.warn(clock::instant(), &format!("http: a connection cannot be taken: {error}"));
@@ -74,21 +95,138 @@ pub(super) async fn serve(
     while connections.join_next().await.is_some() {}
 }
 
-/// Answers a connection's requests until it ends, stalls, or the daemon stops.
-async fn attend(stream: TcpStream, routes: Router, limits: Limits, mut stop: watch::Receiver<bool>) {
+/// Connections that are not being answered: nobody has asked anything whole there.
+#[derive(Default)]
+struct Waiting {
+    /// By the order in which they began to wait.
+    seats: Mutex<(u64, BTreeMap<u64, Arc<Notify>>)>,
+    /// Told of each that begins to.
+    entered: Notify,
+}
+
+impl Waiting {
+    // Nothing panics while it holds the lock.
+    fn lock(&self) -> MutexGuard<'_, (u64, BTreeMap<u64, Arc<Notify>>)> {
+        self.seats.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Ends the one that has waited longest; `false` where there is none beside the one that came last, which has not had its turn.
+    fn end_longest(&self) -> bool {
+        let mut seats = self.lock();
+        let longest = if seats.1.len() > 1 { seats.1.pop_first() } else { None };
+        drop(seats);
+        longest.is_some_and(|(_, end)| {
+            end.notify_one();
+            true
+        })
+    }
+}
+
+/// A connection's place among those that wait, while it waits.
+struct Seat {
+    waiting: Arc<Waiting>,
+    end: Arc<Notify>,
+    number: Mutex<Option<u64>>,
+}
+
+impl Seat {
+    fn take(waiting: &Arc<Waiting>) -> Arc<Self> {
+        let seat = Seat { waiting: Arc::clone(waiting), end: Arc::default(), number: Mutex::default() };
+        seat.sit();
+        Arc::new(seat)
+    }
+
+    /// Begins to wait.
+    fn sit(&self) {
+        let mut seats = self.waiting.lock();
+        let (next, ends) = &mut *seats;
+        *next += 1;
+        ends.insert(*next, Arc::clone(&self.end));
+        let number = *next;
+        drop(seats);
+        *self.number.lock().unwrap_or_else(PoisonError::into_inner) = Some(number);
+        self.waiting.entered.notify_one();
+    }
+
+    /// Waits no longer.
+    fn rise(&self) {
+        let number = self.number.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(number) = number {
+            self.waiting.lock().1.remove(&number);
+        }
+    }
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        self.rise();
+    }
+}
+
+/// An answer under way; once it is handed over, its connection waits again.
+struct Answering {
+    body: Body,
+    seat: Arc<Seat>,
+}
+
+impl hyper::body::Body for Answering {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(context)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+impl Drop for Answering {
+    fn drop(&mut self) {
+        self.seat.sit();
+    }
+}
+
+/// Answers a connection's requests until it ends, stalls, must make way, or the daemon stops.
+async fn attend(
+    stream: TcpStream,
+    seat: Arc<Seat>,
+    routes: Router,
+    limits: Limits,
+    mut stop: watch::Receiver<bool>,
+) {
     let stalled_ms = u32::try_from(limits.stalled.as_millis()).unwrap_or(u32::MAX);
     if let Err(error) = setsockopt(&stream, TcpUserTimeout, &stalled_ms) {
         tracing::debug!("http: a stalled client will be waited for: {error}");
     }
+    let site = TowerToHyperService::new(routes);
+    let end = Arc::clone(&seat.end);
+    let answer = service_fn(move |request: Request<Incoming>| {
+        let (answer, seat) = (site.call(request), Arc::clone(&seat));
+        async move {
+            let answer = answer.await;
+            seat.rise();
+            answer.map(|answer| answer.map(|body| Answering { body, seat }))
+        }
+    });
     let mut connection = pin!(
         http1::Builder::new()
             .timer(TokioTimer::new())
             .header_read_timeout(limits.head)
             .max_buf_size(BUFFER)
-            .serve_connection(TokioIo::new(stream), TowerToHyperService::new(routes))
+            .serve_connection(TokioIo::new(stream), answer)
     );
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,
+        () = end.notified() => return,
         _ = stop.changed() => {
             connection.as_mut().graceful_shutdown();
             connection.await
@@ -116,7 +254,9 @@ mod tests {
             let piece = Ok::<_, Infallible>(vec![b' '; 1 << 16]);
             Body::from_stream(tokio_stream::iter(std::iter::repeat(piece)))
         };
+        let said = axum::routing::post(async |said: Bytes| said);
         let routes = Router::new().route("/", get(async || "here")).route("/endless", get(endless));
+        let routes = routes.route("/said", said);
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let place = listener.local_addr().unwrap();
         let (stop, stopped) = watch::channel(false);
@@ -147,6 +287,22 @@ mod tests {
             assert!(hear(behind).await.ends_with("here"), "{hindrance}");
             drop(in_the_way);
         }
+    }
+
+    #[tokio::test]
+    async fn who_asks_nothing_whole_makes_way_and_who_is_answered_does_not() {
+        let (place, _stop) = site(Limits { most: 4, ..Limits::default() }).await;
+        let answered = ask(place, "GET /endless HTTP/1.1\r\nHost: a\r\n\r\n").await;
+        let mut idle = Vec::new();
+        for _ in 0..20 {
+            idle.push(ask(place, "GET / HT").await);
+            idle.push(ask(place, "POST /said HTTP/1.1\r\nHost: a\r\nContent-Length: 9\r\n\r\n").await);
+        }
+        let behind = ask(place, "GET / HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n").await;
+        assert!(hear(behind).await.ends_with("here"));
+        let mut answered = answered;
+        let mut much = vec![0; 1 << 22];
+        timeout(PATIENCE, answered.read_exact(&mut much)).await.unwrap().unwrap();
     }
 
     #[tokio::test]

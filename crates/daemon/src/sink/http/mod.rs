@@ -15,8 +15,8 @@ use std::time::Duration;
 use axum::Json;
 use axum::Router;
 use axum::body::Bytes;
-use axum::extract::{Path, Query, Request, State};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::extract::{DefaultBodyLimit, Path, Query, Request, State};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::sse::{self, Sse};
 use axum::response::{IntoResponse, Redirect, Response};
@@ -25,7 +25,8 @@ use seepd_settings::side_file;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use tokio::net::TcpListener;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch};
+use tokio::time::timeout;
 use tokio_stream::wrappers::ReceiverStream;
 
 use self::connections::Limits;
@@ -52,6 +53,12 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
 const BEAT: Duration = Duration::from_millis(250);
 /// Events that wait for a client that hears slowly.
 const EVENTS_BEHIND: usize = 64;
+/// Event streams at a time; the dashboard takes one for each window.
+const STREAMS: usize = 32;
+/// Longest body that is read, bytes: many times what an order can have.
+const LONGEST_BODY: usize = 64 << 10;
+/// Time in which a request's body must be there.
+const WHOLE: Duration = Duration::from_secs(10);
 /// Shortest token that is taken.
 const SHORTEST_TOKEN: usize = 16;
 
@@ -61,6 +68,7 @@ struct Site {
     token: Option<String>,
     listen: SocketAddr,
     stop: watch::Receiver<bool>,
+    streams: Arc<Semaphore>,
 }
 
 /// A site that is ready to be opened.
@@ -80,7 +88,8 @@ impl Http {
         stop: watch::Receiver<bool>,
     ) -> Result<Self, Failure> {
         let token = token(config)?;
-        Ok(Http { site: Site { hub, clock, token, listen: config.listen, stop } })
+        let streams = Arc::new(Semaphore::new(STREAMS));
+        Ok(Http { site: Site { hub, clock, token, listen: config.listen, stop, streams } })
     }
 
     /// Opens the port.
@@ -144,6 +153,8 @@ fn routes(site: Arc<Site>) -> Router {
         .route("/api/v1/axes/{axis}/repairs", post(repairs))
         .route("/api/v1/events", get(events))
         .route("/api/v1/history", get(history))
+        .layer(DefaultBodyLimit::max(LONGEST_BODY))
+        .layer(middleware::from_fn(in_time))
         .layer(middleware::from_fn_with_state(Arc::clone(&site), admit))
         // Whether it is well may be asked by everybody who gets here.
         .route("/healthz", get(healthz))
@@ -164,10 +175,18 @@ fn problem(code: StatusCode, what: &str) -> Response {
     (code, Json(json!({ "error": what }))).into_response()
 }
 
+/// Gives a request up whose body does not come; an answer's own time is its connection's affair.
+async fn in_time(request: Request, next: Next) -> Response {
+    match timeout(WHOLE, next.run(request)).await {
+        Ok(answer) => answer,
+        Err(_) => problem(StatusCode::REQUEST_TIMEOUT, "the request did not come to its end"),
+    }
+}
+
 /// Lets in who may come in.
 async fn admit(State(site): State<Arc<Site>>, request: Request, next: Next) -> Response {
     let headers = request.headers();
-    if let Err(what) = check_origin(&site, headers) {
+    if let Err(what) = check_site(request.method(), headers).and_then(|()| check_origin(&site, headers)) {
         return problem(StatusCode::FORBIDDEN, what);
     }
     if let Some(token) = &site.token
@@ -203,6 +222,14 @@ fn check_origin(site: &Site, headers: &HeaderMap) -> Result<(), &'static str> {
         return Err("this daemon answers only to its own address; set http.token_file to open it to others");
     }
     Ok(())
+}
+
+/// What a browser says of who asks: a page of another site may lead a person here, and neither load anything nor give orders.
+fn check_site(method: &Method, headers: &HeaderMap) -> Result<(), &'static str> {
+    let said = |name: &str| headers.get(name).map(HeaderValue::as_bytes);
+    let is_own = [None, Some(&b"same-origin"[..]), Some(b"none")].contains(&said("sec-fetch-site"));
+    let is_link = *method == Method::GET && said("sec-fetch-mode") == Some(b"navigate");
+    if is_own || is_link { Ok(()) } else { Err("requests from pages of other sites are refused") }
 }
 
 fn bearer(headers: &HeaderMap) -> Option<&str> {
@@ -366,14 +393,24 @@ struct Wanted {
 
 /// A stream of `status` (everything's condition), `live` (the command of one axis lately) and each event under its name.
 async fn events(State(site): State<Arc<Site>>, Query(wanted): Query<Wanted>) -> Response {
+    let Ok(permit) = Arc::clone(&site.streams).try_acquire_owned() else {
+        let what = format!("{STREAMS} event streams are open; end one, or ask for the status");
+        return problem(StatusCode::SERVICE_UNAVAILABLE, &what);
+    };
     let (sender, receiver) = mpsc::channel::<Result<sse::Event, Infallible>>(32);
-    tokio::spawn(feed(site, wanted.axis, sender));
+    tokio::spawn(feed(site, wanted.axis, sender, Some(permit)));
     Sse::new(ReceiverStream::new(receiver))
         .keep_alive(sse::KeepAlive::new().interval(Duration::from_secs(15)))
         .into_response()
 }
 
-async fn feed(site: Arc<Site>, wanted: Option<String>, sender: mpsc::Sender<Result<sse::Event, Infallible>>) {
+/// Feeds a stream until its client goes or is left behind; `_permit` is one of the streams that there may be.
+async fn feed(
+    site: Arc<Site>,
+    wanted: Option<String>,
+    sender: mpsc::Sender<Result<sse::Event, Infallible>>,
+    _permit: Option<OwnedSemaphorePermit>,
+) {
     let mut publications = site.hub.subscribe(EVENTS_BEHIND);
     let mut beats = tokio::time::interval(BEAT);
     beats.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -426,7 +463,9 @@ mod tests {
         let (keep_open, stop) = watch::channel(false);
         let listen = HttpConfig::default().listen;
         let hub = Hub::new("test".into());
-        (Arc::new(Site { hub, clock: Clock::start(), token: None, listen, stop }), keep_open)
+        let streams = Arc::new(Semaphore::new(STREAMS));
+        let site = Site { hub, clock: Clock::start(), token: None, listen, stop, streams };
+        (Arc::new(site), keep_open)
     }
 
     fn nobody() -> Acknowledgement {
@@ -437,7 +476,7 @@ mod tests {
     async fn a_name_with_line_breaks_ends_no_event_and_no_stream() {
         let (site, _keep_open) = site();
         let (sender, receiver) = mpsc::channel(32);
-        tokio::spawn(feed(Arc::clone(&site), None, sender));
+        tokio::spawn(feed(Arc::clone(&site), None, sender, None));
         tokio::task::yield_now().await;
         site.hub.publish_acknowledged("press\r\n1", Some(Flag::Leak), &nobody());
         let stream = Sse::new(ReceiverStream::new(receiver)).into_response().into_body().into_data_stream();
@@ -457,11 +496,33 @@ mod tests {
         panic!("the stream ended without {what}");
     }
 
+    #[test]
+    fn pages_of_other_sites_may_lead_here_and_nothing_else() {
+        let check = |method: Method, site: &'static str, mode: &'static str| {
+            let fields = [("sec-fetch-site", site), ("sec-fetch-mode", mode)];
+            let named =
+                |(name, value)| (header::HeaderName::from_static(name), HeaderValue::from_static(value));
+            check_site(&method, &fields.map(named).into_iter().collect()).is_ok()
+        };
+        assert!(check_site(&Method::POST, &HeaderMap::new()).is_ok(), "no browser says nothing of it");
+        for (method, site, mode, is_taken) in [
+            (Method::POST, "same-origin", "cors", true),
+            (Method::GET, "none", "navigate", true),
+            (Method::GET, "cross-site", "navigate", true),
+            (Method::POST, "cross-site", "navigate", false),
+            (Method::GET, "cross-site", "no-cors", false),
+            (Method::POST, "same-site", "cors", false),
+            (Method::GET, "what", "cors", false),
+        ] {
+            assert_eq!(check(method.clone(), site, mode), is_taken, "{method} {site} {mode}");
+        }
+    }
+
     #[tokio::test]
     async fn a_client_that_is_left_behind_is_sent_away() {
         let (site, _keep_open) = site();
         let (sender, mut receiver) = mpsc::channel(1);
-        let task = tokio::spawn(feed(Arc::clone(&site), None, sender));
+        let task = tokio::spawn(feed(Arc::clone(&site), None, sender, None));
         tokio::task::yield_now().await;
         for _ in 0..2 * EVENTS_BEHIND {
             site.hub.publish_acknowledged("press", None, &nobody());

@@ -148,7 +148,15 @@ impl Spool {
     /// Writes what the disk has not taken, in order.
     fn write_out(&mut self) -> io::Result<()> {
         while let Some((number, entry)) = self.unwritten.first_key_value() {
-            if let Err(error) = write_durably(&self.path(*number), &serde_json::to_vec(entry)?) {
+            let (path, bytes) = (self.path(*number), serde_json::to_vec(entry)?);
+            let written = match write_durably(&path, &bytes) {
+                // Somebody has removed the folder, or the disk that it was on is no longer there.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                    fs::create_dir_all(&self.folder).and_then(|()| write_durably(&path, &bytes))
+                }
+                written => written,
+            };
+            if let Err(error) = written {
                 self.forget_surplus();
                 return Err(error);
             }
@@ -295,15 +303,17 @@ mod tests {
         let place = folder.path().join("spool");
         let mut spool = Spool::open(&place, 10_000).unwrap();
         fs::remove_dir(&place).unwrap();
+        fs::write(&place, "in the way").unwrap();
         for number in 0..MOST_UNWRITTEN + 5 {
             spool.push(&format!("event {number}"), "{}").unwrap();
         }
-        assert!(spool.failure().is_some_and(|why| why.contains("No such file")));
+        assert!(spool.failure().is_some_and(|why| why.contains("Not a directory")));
         assert_eq!(spool.counts(), Counts { waiting: 1000, dropped: 5, ..Counts::default() });
         let (first, entry) = spool.first().unwrap();
         assert_eq!(entry.topic, "event 5");
         spool.arrived(first).unwrap();
-        fs::create_dir(&place).unwrap();
+        // The folder is made by whoever needs it.
+        fs::remove_file(&place).unwrap();
         spool.push("the last", "{}").unwrap();
         assert_eq!(spool.failure(), None);
         let topics = topics(&mut Spool::open(&place, 10_000).unwrap());
