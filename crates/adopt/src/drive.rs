@@ -7,7 +7,7 @@
 
 use seepd_gap::SimulatedAxis;
 use seepd_sim::batch::follow;
-use seepd_sim::cycle::{DriveSample, LoadCorner, Move, load_at};
+use seepd_sim::cycle::{DriveSample, LoadCorner, Move, OpenLoopTick, load_at};
 use seepd_sim::{DutyCycle, MachineSpec};
 
 use crate::duty_cycle::FoundCycle;
@@ -200,6 +200,7 @@ fn drive_of(demand: &[f64], load_n: &[f64], tick_s: f64) -> Vec<DriveSample> {
         load_n: load_n[tick],
         load_end_n: load_n[(tick + 1) % load_n.len()],
         leak_area_m2: 0.0,
+        open_loop: OpenLoopTick::default(),
     };
     (0..demand.len()).map(of).collect()
 }
@@ -254,6 +255,7 @@ pub fn planned(
             to_m: levels[index],
             course: course(demand, (*from, *to), (before, levels[index])),
             wait_s: found.wait_s(index),
+            open_loop: None,
         }
     });
     DutyCycle { period_s: ticks as f64 * tick_s, moves: strokes.collect(), load }
