@@ -268,7 +268,9 @@ impl Adopter<'_> {
         let (demand, position) = (demand?, position?);
         // What the controller adds to step over the dead band, as far as the user knows it, is no part of its gains.
         let uncompensated: Vec<f64> = command.iter().map(|u| spec.controller.uncompensated(*u)).collect();
-        let fitted = fit_gains(&uncompensated, demand, position, spec.controller.period_s);
+        let tick_s = spec.controller.period_s;
+        let open = self.found.open_ticks(tick_s);
+        let fitted = fit_gains(&uncompensated, demand, position, tick_s, &open);
         let Some(gains) = fitted.filter(|gains| gains.explained > EXPLAINED) else {
             let share = 100.0 * fitted.map_or(0.0, |gains| gains.explained.max(0.0));
             self.remarks.push(format!(

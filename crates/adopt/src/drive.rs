@@ -7,7 +7,7 @@
 
 use seepd_gap::SimulatedAxis;
 use seepd_sim::batch::follow;
-use seepd_sim::cycle::{DriveSample, LoadCorner, Move, OpenLoopTick, load_at};
+use seepd_sim::cycle::{DriveSample, LoadCorner, Move, OpenLoop, OpenLoopTick, load_at};
 use seepd_sim::{DutyCycle, MachineSpec};
 
 use crate::duty_cycle::FoundCycle;
@@ -255,7 +255,9 @@ pub fn planned(
             to_m: levels[index],
             course: course(demand, (*from, *to), (before, levels[index])),
             wait_s: found.wait_s(index),
-            open_loop: None,
+            open_loop: found.strokes[index]
+                .open_loop
+                .map(|part| own_command(command, (*from, *to), part.to_s, tick_s)),
         }
     });
     DutyCycle { period_s: ticks as f64 * tick_s, moves: strokes.collect(), load }
@@ -267,6 +269,19 @@ fn middles(edges: &[(usize, usize)], ticks: usize) -> Vec<usize> {
     middles.extend(edges.windows(2).map(|pair| pair[0].1.midpoint(pair[1].0)));
     middles.push(ticks);
     middles
+}
+
+/// The open-loop part of a move between two ticks, with the command that it has in the mean cycle.
+fn own_command(command: &[f64], (from, to): (usize, usize), to_s: f64, tick_s: f64) -> OpenLoop {
+    let ends = ((to_s / tick_s).round() as usize).clamp(from + 1, to.saturating_sub(2).max(from + 1));
+    let steps = (ends - from).min(COURSE_POINTS);
+    let at = |step: usize| {
+        let place = from as f64 + (ends - from) as f64 * step as f64 / steps as f64;
+        let (low, high) = (place as usize, (place as usize + 1).min(command.len() - 1));
+        let value = command[low] + (command[high] - command[low]) * place.fract();
+        (value.clamp(-1.0, 1.0) * 1e6).round() / 1e6
+    };
+    OpenLoop { to_s: ends as f64 * tick_s, command: (0..=steps).map(at).collect() }
 }
 
 /// Share of the way at equal steps of a stroke's time.
