@@ -59,7 +59,9 @@ pub fn fit_gains(
     };
     if let Some(last) = open.iter().map(|part| part.start).max() {
         // What it holds as the cycle begins is from the end of the one before.
-        (last..ticks).for_each(|tick| drop(integrated(tick)));
+        for tick in last..ticks {
+            integrated(tick);
+        }
     }
     let integrals: Vec<f64> = (0..ticks).map(integrated).collect();
     let terms: [Vec<f64>; 5] = [

@@ -172,7 +172,9 @@ impl FoundCycle {
             return;
         }
         let second = self.strokes.remove(index + 1);
-        self.cycles.iter_mut().for_each(|starts| drop(starts.remove(index + 1)));
+        for starts in &mut self.cycles {
+            starts.remove(index + 1);
+        }
         let first = &mut self.strokes[index];
         first.to_s = second.to_s;
         first.way += second.way;

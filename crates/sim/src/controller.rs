@@ -151,7 +151,6 @@ pub(crate) struct PidState<T> {
 
 impl<T: Real> PidState<T> {
     /// In each lane the other state where `is_other` is positive.
-    #[inline(always)]
     pub(crate) fn or_where_positive(&self, is_other: T, other: &Self) -> Self {
         PidState {
             integral: is_other.where_positive(other.integral, self.integral),
@@ -208,7 +207,6 @@ impl<T: Real> Pid<T> {
 
     /// What the controller keeps while a command that is not its own acts: the integrator holds what goes on with that command, so that
     /// taking over is no jump.
-    #[inline(always)]
     pub(crate) fn tracking(&self, before: &PidState<T>, command: T, position: T) -> PidState<T> {
         let moved = position - before.position;
         let held = self.uncompensated(command) + (self.kd_per_period - self.feed_forward_per_period) * moved;
@@ -217,7 +215,6 @@ impl<T: Real> Pid<T> {
     }
 
     /// What the control law would have given before the jump over the dead band.
-    #[inline(always)]
     fn uncompensated(&self, command: T) -> T {
         let steep = self.dead_band_compensation * T::splat(1.0 / COMPENSATED_FROM);
         let small = command / (T::splat(1.0) + steep);

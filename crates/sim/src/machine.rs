@@ -196,27 +196,37 @@ impl<T: Real> Machine<T> {
     #[inline(always)]
     pub fn tick(&self, state: &mut MachineState<T>, input: &Input<T>) -> SimulatedSignals<T> {
         let position = self.sense(state);
+        let demand = if self.has_open_loop { self.asked(state, position, input) } else { input.demand };
+        let before = state.pid;
+        let mut command = self.command(state, demand, position);
         if self.has_open_loop {
-            let (command, demand) = self.taken_over(state, position, input);
-            return self.moved_on(state, command, position, &Input { demand, ..*input });
+            command = self.own_or(state, command, &before, position, &input.open_loop);
         }
-        let command = self.command(state, input.demand, position);
-        self.moved_on(state, command, position, input)
+        self.moved_on(state, command, position, &Input { demand, ..*input })
     }
 
-    /// The command of a tick and the demand, where moves may begin open loop: the demand is then the measured position, and later the plan
-    /// and what is left of the distance between the two.
-    #[inline(always)]
-    fn taken_over(&self, state: &mut MachineState<T>, position: T, input: &Input<T>) -> (T, T) {
-        let OpenLoopTick { is_open, command: own, carried } = input.open_loop;
+    /// The demand of a tick where moves may begin open loop: the measured position then, and later the plan with what is left of the
+    /// distance between the two.
+    fn asked(&self, state: &mut MachineState<T>, position: T, input: &Input<T>) -> T {
+        let OpenLoopTick { is_open, carried, .. } = input.open_loop;
         state.beside_plan = is_open.where_positive(position - input.demand, state.beside_plan);
-        let demand = is_open.where_positive(position, input.demand + carried * state.beside_plan);
-        let before = state.pid;
-        let controlled = self.command(state, demand, position);
-        let tracking = self.pid.tracking(&before, own, position);
+        is_open.where_positive(position, input.demand + carried * state.beside_plan)
+    }
+
+    /// The move's own command in its open-loop part, which the controller follows, and else the controller's.
+    fn own_or(
+        &self,
+        state: &mut MachineState<T>,
+        controlled: T,
+        before: &PidState<T>,
+        position: T,
+        open_loop: &OpenLoopTick<T>,
+    ) -> T {
+        let OpenLoopTick { is_open, command: own, .. } = *open_loop;
+        let tracking = self.pid.tracking(before, own, position);
         state.pid = state.pid.or_where_positive(is_open, &tracking);
         let one = T::splat(1.0);
-        (is_open.where_positive(own.max(-one).min(one), controlled), demand)
+        is_open.where_positive(own.max(-one).min(one), controlled)
     }
 
     /// As [`tick`](Self::tick); where no controller makes the command, it is the drive's.
