@@ -13,6 +13,7 @@ use crate::drive::{
 };
 use crate::duty_cycle::FoundCycle;
 use crate::machine_data::MachineData;
+use crate::open_loop::going_as_far;
 use crate::plant::{DataError, DescribedPlant, LoggedSize, Origin, PlantValue, describe};
 use crate::process_force::{self, ProcessForce};
 use crate::recording::Recording;
@@ -34,6 +35,8 @@ const LARGEST_TOLERANCE: f64 = 0.30;
 const MOST_WIDENED: f64 = 5.0;
 /// Room for a position that does not fit the stroke, share of the stroke.
 const POSITION_ROOM: f64 = 0.02;
+/// A change of an open-loop command's opening, as a share, from which it is remarked on.
+const REMARKED_CHANGE: f64 = 0.1;
 /// A rest of the command, over its range, from which the demand that was found is remarked on.
 const POOR: f64 = 0.03;
 /// A friction below this share of the largest force of the piston is left out.
@@ -220,7 +223,7 @@ impl Adopter<'_> {
         if rest.is_nan() || rest > UNLIKE {
             return Err(AdoptionError::Unlike { percent: 100.0 * rest });
         }
-        let spec = MachineSpec { bounds: BTreeMap::new(), ..spec };
+        let spec = self.as_far(MachineSpec { bounds: BTreeMap::new(), ..spec });
         Ok(Adoption {
             noise: self.recording.log.get(Signal::Command).map_or(0.0, noise_of),
             load_spread: self.load_spread(),
@@ -288,6 +291,22 @@ impl Adopter<'_> {
             }
         }
         Some(gains)
+    }
+
+    /// The machine going as far as the log's in its open-loop parts, where its plant has been fitted.
+    fn as_far(&mut self, spec: MachineSpec) -> MachineSpec {
+        if !spec.cycle.has_open_loop() {
+            return spec;
+        }
+        let (corrected, change) = going_as_far(&spec);
+        if change > REMARKED_CHANGE {
+            self.remarks.push(format!(
+                "the simulated machine goes as far as the log's in its open-loop parts where the valve is opened by {:.0} % more or less than \
+                 the log's: overlap, flow curve or load are others",
+                100.0 * change
+            ));
+        }
+        if corrected.check().is_ok() { corrected } else { spec }
     }
 
     fn remark_on(&mut self, asked: &Asked) {

@@ -5,6 +5,8 @@
 //! does that, since its command is made of that difference.
 
 use seepd_signals::Signal;
+use seepd_sim::cycle::Move;
+use seepd_sim::{Input, Machine, MachineSpec, Schedule};
 
 use crate::duty_cycle::FoundCycle;
 use crate::recording::Recording;
@@ -139,12 +141,69 @@ fn goes_on(found: &FoundCycle, index: usize, from_s: f64) -> bool {
         && !found.varying_holds().contains(&index)
 }
 
+/// Times that the commands are corrected, and how far by all of them at most, as a factor to either side.
+const CORRECTIONS: usize = 4;
+const MOST_CORRECTED: f64 = 1.6;
+/// A way below this share of the cycle's says nothing of its command.
+const LEAST_WAY: f64 = 0.02;
+
+/// The machine with open-loop commands under which it goes as far as planned, where it is sound: what a valve passes at one opening is not
+/// in proportion to what it passes at another, and no position loop makes up for that here. Gives the largest change of a command's opening,
+/// as a share, beside it.
+pub fn going_as_far(spec: &MachineSpec) -> (MachineSpec, f64) {
+    let half_width = seepd_sim::series::deadband(spec);
+    let mut corrected = spec.clone();
+    let mut factors = vec![1.0; spec.cycle.moves.len()];
+    for _ in 0..CORRECTIONS {
+        let Some(ratios) = planned_over_simulated(&corrected) else { return (spec.clone(), 0.0) };
+        for (index, ratio) in ratios.into_iter().enumerate() {
+            factors[index] = (factors[index] * ratio).clamp(1.0 / MOST_CORRECTED, MOST_CORRECTED);
+            let own = spec.cycle.moves[index].open_loop.as_ref();
+            if let (Some(open), Some(own)) = (&mut corrected.cycle.moves[index].open_loop, own) {
+                let opened = |u: &f64| {
+                    let opening = (u.abs() - half_width).max(0.0);
+                    (u + (factors[index] - 1.0) * opening.copysign(*u)).clamp(-1.0, 1.0)
+                };
+                open.command = own.command.iter().map(opened).collect();
+            }
+        }
+    }
+    let most = factors.iter().map(|factor| (factor - 1.0).abs()).fold(0.0, f64::max);
+    (corrected, most)
+}
+
+/// Planned way over simulated way of each move's open-loop part in a second cycle; 1 without one. `None` where the simulation goes out of
+/// bounds.
+fn planned_over_simulated(spec: &MachineSpec) -> Option<Vec<f64>> {
+    let machine = Machine::<f64>::new(&[spec]);
+    let mut state = machine.start();
+    let tick_s = spec.controller.period_s;
+    let ticks = (spec.cycle.period_s / tick_s).round() as usize;
+    let position: Vec<f64> = Schedule::new(&spec.cycle, tick_s, Vec::new())
+        .take(2 * ticks)
+        .map(|sample| machine.tick(&mut state, &Input::gather(&[sample])).position)
+        .skip(ticks)
+        .collect();
+    let (low, high) = spec.cycle.reach_m();
+    let at = |at_s: f64| position.get(((at_s / tick_s).round() as usize).min(ticks.saturating_sub(1)));
+    let ratio = |stroke: &Move| -> Option<f64> {
+        let Some(open) = &stroke.open_loop else { return Some(1.0) };
+        let planned_m = spec.cycle.demand_m(open.to_s) - spec.cycle.demand_m(stroke.from_s);
+        let way_m = at(open.to_s)? - at(stroke.from_s)?;
+        if !way_m.is_finite() {
+            return None;
+        }
+        let tells = way_m * planned_m > 0.0 && planned_m.abs() > LEAST_WAY * (high - low);
+        Some(if tells { planned_m / way_m } else { 1.0 })
+    };
+    spec.cycle.moves.iter().map(ratio).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use seepd_gap::Log;
     use seepd_sim::cycle::{CycleRun, OpenLoop};
     use seepd_sim::noise::Noise;
-    use seepd_sim::{Input, Machine, MachineSpec, Schedule};
 
     use super::*;
     use crate::controller::fit_gains;
@@ -262,6 +321,29 @@ mod tests {
                 true_answer.iter().zip(&answer(&closed, shift)).map(|(a, b)| a - b).collect();
             assert!(rms(&apart) > 0.2 * rms(&true_answer), "{} {}", rms(&apart), rms(&true_answer));
         }
+    }
+
+    /// A plant whose valve passes less than the machine's opens it further in the open-loop part, and the healthy machine goes as planned.
+    #[test]
+    fn an_open_loop_command_is_corrected_until_the_way_is_the_planned_one() {
+        let mut spec = begun_open_loop(7.0);
+        let as_far = planned_over_simulated(&spec).unwrap();
+        let way_m = |spec: &MachineSpec| spec.cycle.demand_m(7.0) - spec.cycle.demand_m(6.0);
+        let simulated_m = way_m(&spec) / as_far[2];
+        // The plan is where the machine goes: its course has that way.
+        let whole_m = spec.cycle.moves[2].to_m - spec.cycle.moves[1].to_m;
+        let factor = simulated_m / way_m(&spec);
+        for share in &mut spec.cycle.moves[2].course[..=40] {
+            *share *= factor;
+        }
+        assert!((way_m(&spec) / simulated_m - 1.0).abs() < 0.02 && whole_m < 0.0);
+        let (same, change) = going_as_far(&spec);
+        assert!(change < 0.02 && same.cycle.moves[0] == spec.cycle.moves[0], "{change}");
+        spec.plant.valve_m3_per_s_sqrt_pa *= 0.85;
+        let (corrected, change) = going_as_far(&spec);
+        assert!((change - 0.176).abs() < 0.03, "{change}");
+        let left = planned_over_simulated(&corrected).unwrap()[2];
+        assert!((left - 1.0).abs() < 1e-3, "{left}");
     }
 
     /// A position loop whose feed-forward leaves hardly an error runs its strokes under control all the same.
