@@ -231,12 +231,15 @@ pub fn planned(
         let (hold_before, hold_after) = (middles[index], middles[index + 1]);
         let rest_before = mean(&command[hold_before..from.max(hold_before + 1)]);
         let rest_after = mean(&command[to.min(hold_after.saturating_sub(1))..hold_after.max(1)]);
-        // An open-loop part begins with its stroke: what the command does in the hold before it is the controller's.
-        let earliest = if stroke.open_loop.is_some() { from.saturating_sub((to - from) / 20) } else { 0 };
+        // A stroke with an open-loop part is where the demand moves: what the command does in the holds beside it is the controller's.
+        let (earliest, latest) = match stroke.open_loop {
+            Some(_) => (from.saturating_sub((to - from) / 20), to + (to - from) / 20),
+            None => (0, ticks),
+        };
         let leaves = (hold_before.max(earliest)..from)
             .find(|tick| (command[*tick] - rest_before).abs() > NEAR * peak)
             .unwrap_or(from);
-        let returns = (to..hold_after)
+        let returns = (to..hold_after.min(latest))
             .rev()
             .find(|tick| (command[*tick] - rest_after).abs() > NEAR * peak)
             .map_or(to, |tick| tick + 1);
