@@ -5,10 +5,10 @@ use seepd_sim::{Input, Machine, MachineSpec, Schedule, SimulatedSignals};
 
 const TICK_S: f64 = 1e-3;
 
-/// The nominal press, whose `extend`, from 0.5 s to 2.5 s and from 0.10 m to 0.35 m, is begun at a command of 0.3 until 1.2 s.
+/// The nominal press, whose `extend`, from 0.5 s to 2.5 s and from 0.10 m to 0.35 m, is begun at a command of 0.1 until 1.2 s.
 fn begun_open_loop() -> MachineSpec {
     let mut spec = MachineSpec::default();
-    spec.cycle.moves[0].open_loop = Some(OpenLoop { to_s: 1.2, command: vec![0.0, 0.3, 0.3, 0.3, 0.0] });
+    spec.cycle.moves[0].open_loop = Some(OpenLoop { to_s: 1.2, command: vec![0.0, 0.1, 0.1, 0.1, 0.0] });
     spec.check().unwrap();
     spec
 }
@@ -37,7 +37,7 @@ fn analytic_an_open_loop_part_goes_as_far_as_its_command_takes_it() {
         assert_eq!(one.demand, one.position);
         assert_eq!(other.demand, other.position);
     }
-    assert_eq!(sound[at(0.675)].command, 0.3);
+    assert_eq!(sound[at(0.675)].command, 0.1);
     // Steadily, each land passes K u sqrt(dp): the rod chamber's oil leaves by A2 v = K u sqrt(p_rod - p_return), the cap's comes in by
     // A1 v = K u sqrt(p_inlet - p_cap) and loses the leak.
     let p = &spec.plant;
@@ -63,7 +63,7 @@ fn analytic_position_control_goes_on_from_where_the_machine_is() {
         let c = &mut spec.controller;
         (c.kd, c.velocity_feed_forward_s_per_m, c.dead_band_compensation) = (kd, feed_forward, compensation);
         // Taken over in full motion.
-        spec.cycle.moves[0].open_loop = Some(OpenLoop { to_s: 1.2, command: vec![0.3] });
+        spec.cycle.moves[0].open_loop = Some(OpenLoop { to_s: 1.2, command: vec![0.1] });
         for leak_area_m2 in [0.0, 3e-6] {
             let signals = cycle(&spec, leak_area_m2);
             let fastest = spec.cycle.moves[0].to_m / 2.0 * 1.875 * TICK_S;
