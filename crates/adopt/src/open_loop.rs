@@ -218,7 +218,7 @@ mod tests {
     fn press() -> MachineSpec {
         let mut spec = MachineSpec::default();
         spec.plant.inlet_volume_m3 *= 4.0;
-        spec.controller.steps_per_period = 3;
+        spec.controller.steps_per_period = 4;
         spec.cycle.load.clear();
         spec
     }
