@@ -224,6 +224,9 @@ pub fn planned(
         let (from, to) = (hold.0 + span / 3, (hold.1 - span / 3).max(hold.0 + span / 3 + 1));
         mean(demand.get(from..to.min(ticks)).unwrap_or_default())
     };
+    // Where demand and position tell an open-loop part, they tell where strokes begin and end too: what the command does in the holds beside
+    // them, as over a dead band, is the controller's.
+    let has_open_loop = found.strokes.iter().any(|stroke| stroke.open_loop.is_some());
     let mut moves = Vec::with_capacity(edges.len());
     for (index, stroke) in found.strokes.iter().enumerate() {
         let (from, to) = edges[index];
@@ -231,10 +234,9 @@ pub fn planned(
         let (hold_before, hold_after) = (middles[index], middles[index + 1]);
         let rest_before = mean(&command[hold_before..from.max(hold_before + 1)]);
         let rest_after = mean(&command[to.min(hold_after.saturating_sub(1))..hold_after.max(1)]);
-        // A stroke with an open-loop part is where the demand moves: what the command does in the holds beside it is the controller's.
-        let (earliest, latest) = match stroke.open_loop {
-            Some(_) => (from.saturating_sub((to - from) / 20), to + (to - from) / 20),
-            None => (0, ticks),
+        let (earliest, latest) = match has_open_loop {
+            true => (from.saturating_sub((to - from) / 20), to + (to - from) / 20),
+            false => (0, ticks),
         };
         let leaves = (hold_before.max(earliest)..from)
             .find(|tick| (command[*tick] - rest_before).abs() > NEAR * peak)
