@@ -7,7 +7,7 @@ use std::process::Command;
 
 use crate::support::{fixture, python, seepd, simulate, stderr, stdout};
 use seepd_sim::MachineSpec;
-use seepd_sim::cycle::{DriveSample, Schedule};
+use seepd_sim::cycle::{DriveSample, OpenLoopTick, Schedule};
 use seepd_sim::electric::ElectricAxis;
 use seepd_sim::machine::{Input, Machine};
 use serde_json::Value;
@@ -76,6 +76,7 @@ fn reference_fmpy_simulates_the_press_to_our_numbers() {
         load_end: -1500.0,
         a_leak: 3e-7,
         at: tick as f64 * 1e-3,
+        open_loop: OpenLoopTick::default(),
     };
     let mut state = machine.start_at(&input(0));
     let ours: Vec<_> = (0..=TICKS).map(|tick| machine.tick(&mut state, &input(tick))).collect();

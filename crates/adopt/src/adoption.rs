@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 
 use seepd_gap::{Calibration, CalibrationSettings, Known, Log, Record, RecordError, calibrate};
 use seepd_signals::Signal;
+use seepd_sim::cycle::LoadCorner;
 use seepd_sim::series::Direction;
-use seepd_sim::{MachineSpec, SpecError};
+use seepd_sim::{DutyCycle, MachineSpec, SpecError};
 
 use crate::controller::{FittedGains, fit_gains};
 use crate::drive::{
@@ -13,6 +14,7 @@ use crate::drive::{
 };
 use crate::duty_cycle::FoundCycle;
 use crate::machine_data::MachineData;
+use crate::open_loop::going_as_far;
 use crate::plant::{DataError, DescribedPlant, LoggedSize, Origin, PlantValue, describe};
 use crate::process_force::{self, ProcessForce};
 use crate::recording::Recording;
@@ -34,6 +36,8 @@ const LARGEST_TOLERANCE: f64 = 0.30;
 const MOST_WIDENED: f64 = 5.0;
 /// Room for a position that does not fit the stroke, share of the stroke.
 const POSITION_ROOM: f64 = 0.02;
+/// A change of an open-loop command's opening, as a share, from which it is remarked on.
+const REMARKED_CHANGE: f64 = 0.1;
 /// A rest of the command, over its range, from which the demand that was found is remarked on.
 const POOR: f64 = 0.03;
 /// A friction below this share of the largest force of the piston is left out.
@@ -205,9 +209,11 @@ impl Adopter<'_> {
         };
         self.remark_on(&asked);
         spec.plant.valve_m3_per_s_sqrt_pa *= asked.shrunk;
-        spec.cycle = planned(self.found, &asked.demand_m, &command, load, tick_s);
-        let stroke_m = spec.plant.stroke_m;
-        spec.cycle.moves.iter_mut().for_each(|stroke| stroke.to_m = stroke.to_m.clamp(0.0, stroke_m));
+        spec.cycle = self.plan(&spec, &asked.demand_m, &command, load);
+        let plan = spec.cycle.moves.clone();
+        if let Some(position) = position.as_ref().filter(|_| spec.cycle.has_open_loop()) {
+            spec.cycle = self.as_if_controlled(&spec, &command, position);
+        }
         let spec = spec.with_stable_steps();
         spec.check()?;
         let (spec, values, calibration, together) = if position.is_some() {
@@ -220,7 +226,9 @@ impl Adopter<'_> {
         if rest.is_nan() || rest > UNLIKE {
             return Err(AdoptionError::Unlike { percent: 100.0 * rest });
         }
-        let spec = MachineSpec { bounds: BTreeMap::new(), ..spec };
+        let mut spec = MachineSpec { bounds: BTreeMap::new(), ..spec };
+        spec.cycle.moves = plan;
+        let spec = self.as_far(spec);
         Ok(Adoption {
             noise: self.recording.log.get(Signal::Command).map_or(0.0, noise_of),
             load_spread: self.load_spread(),
@@ -268,7 +276,9 @@ impl Adopter<'_> {
         let (demand, position) = (demand?, position?);
         // What the controller adds to step over the dead band, as far as the user knows it, is no part of its gains.
         let uncompensated: Vec<f64> = command.iter().map(|u| spec.controller.uncompensated(*u)).collect();
-        let fitted = fit_gains(&uncompensated, demand, position, spec.controller.period_s);
+        let tick_s = spec.controller.period_s;
+        let open = self.found.open_ticks(tick_s);
+        let fitted = fit_gains(&uncompensated, demand, position, tick_s, &open);
         let Some(gains) = fitted.filter(|gains| gains.explained > EXPLAINED) else {
             let share = 100.0 * fitted.map_or(0.0, |gains| gains.explained.max(0.0));
             self.remarks.push(format!(
@@ -286,6 +296,45 @@ impl Adopter<'_> {
             }
         }
         Some(gains)
+    }
+
+    /// The plan of the cycle for a demand, within the stroke.
+    fn plan(
+        &self,
+        spec: &MachineSpec,
+        demand_m: &[f64],
+        command: &[f64],
+        load: Vec<LoadCorner>,
+    ) -> DutyCycle {
+        let mut cycle = planned(self.found, demand_m, command, load, spec.controller.period_s);
+        let stroke_m = spec.plant.stroke_m;
+        cycle.moves.iter_mut().for_each(|stroke| stroke.to_m = stroke.to_m.clamp(0.0, stroke_m));
+        cycle
+    }
+
+    /// The same cycle with the demand under which position control would have given the log's command all along. A plant is fitted to it:
+    /// over an open-loop part small errors of the plant add up to large ones of the position, and would bend it.
+    fn as_if_controlled(&self, spec: &MachineSpec, command: &[f64], position: &[f64]) -> DutyCycle {
+        let asked = asked_by_position(spec, command, position);
+        let mut cycle = self.plan(spec, &asked.demand_m, command, spec.cycle.load.clone());
+        cycle.moves.iter_mut().for_each(|stroke| stroke.open_loop = None);
+        cycle
+    }
+
+    /// The machine going as far as the log's in its open-loop parts, where its plant has been fitted.
+    fn as_far(&mut self, spec: MachineSpec) -> MachineSpec {
+        if !spec.cycle.has_open_loop() {
+            return spec;
+        }
+        let (corrected, change) = going_as_far(&spec);
+        if change > REMARKED_CHANGE {
+            self.remarks.push(format!(
+                "the simulated machine goes as far as the log's in its open-loop parts where the valve is opened by {:.0} % more or less than \
+                 the log's: overlap, flow curve or load are others",
+                100.0 * change
+            ));
+        }
+        if corrected.check().is_ok() { corrected } else { spec }
     }
 
     fn remark_on(&mut self, asked: &Asked) {

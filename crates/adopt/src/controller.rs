@@ -1,5 +1,7 @@
 //! The gains of a position controller, read off demand, position and command by linear regression.
 
+use std::ops::Range;
+
 use nalgebra::{DMatrix, DVector};
 
 use crate::strokes::slope;
@@ -28,22 +30,40 @@ const WORTH: f64 = 0.05;
 /// A rest of this share of the command's variance has nothing left to explain.
 const DONE: f64 = 1e-6;
 
-/// Regresses the command of a mean cycle on error, its integral, the speeds of position and demand, and the command's sign. `None` where
-/// the error explains nothing or a gain comes out with the wrong sign.
-pub fn fit_gains(command: &[f64], demand: &[f64], position: &[f64], tick_s: f64) -> Option<FittedGains> {
+/// Ticks around an open-loop part that are left out with it: speeds there are of both.
+const BESIDE: usize = 2;
+
+/// Regresses the command of a mean cycle on error, its integral, the speeds of position and demand, and the command's sign, where the
+/// controller makes it: `open` are the ticks of its open-loop parts. `None` where the error explains nothing or a gain comes out with the
+/// wrong sign.
+pub fn fit_gains(
+    command: &[f64],
+    demand: &[f64],
+    position: &[f64],
+    tick_s: f64,
+    open: &[Range<usize>],
+) -> Option<FittedGains> {
     let ticks = command.len().min(demand.len()).min(position.len());
+    let is_open = |tick: usize| open.iter().any(|part| part.contains(&tick));
     let speed = |values: &[f64], tick: usize| slope(&values[..ticks], tick) / tick_s;
     let errors: Vec<f64> = (0..ticks).map(|tick| demand[tick] - position[tick]).collect();
+    // The integrator stands while the command saturates, and begins anew where position control does.
     let mut integral = 0.0;
-    // The integrator stands while the command saturates.
-    let integrals: Vec<f64> = (0..ticks)
-        .map(|tick| {
-            if command[tick].abs() < SATURATED {
-                integral += errors[tick] * tick_s;
-            }
-            integral
-        })
-        .collect();
+    let mut integrated = |tick: usize| {
+        if is_open(tick) {
+            integral = 0.0;
+        } else if command[tick].abs() < SATURATED {
+            integral += errors[tick] * tick_s;
+        }
+        integral
+    };
+    if let Some(last) = open.iter().map(|part| part.start).max() {
+        // What it holds as the cycle begins is from the end of the one before.
+        for tick in last..ticks {
+            integrated(tick);
+        }
+    }
+    let integrals: Vec<f64> = (0..ticks).map(integrated).collect();
     let terms: [Vec<f64>; 5] = [
         errors,
         integrals,
@@ -51,7 +71,11 @@ pub fn fit_gains(command: &[f64], demand: &[f64], position: &[f64], tick_s: f64)
         (0..ticks).map(|tick| -speed(position, tick)).collect(),
         command.iter().take(ticks).map(|u| (u / 0.003).clamp(-1.0, 1.0)).collect(),
     ];
-    let used: Vec<usize> = (0..ticks).filter(|tick| command[*tick].abs() < SATURATED).collect();
+    let beside = |tick: usize| {
+        open.iter().any(|part| (part.start.saturating_sub(BESIDE)..part.end + BESIDE).contains(&tick))
+    };
+    let used: Vec<usize> =
+        (0..ticks).filter(|tick| command[*tick].abs() < SATURATED && !beside(*tick)).collect();
     if used.len() < 50 {
         return None;
     }

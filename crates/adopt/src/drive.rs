@@ -7,7 +7,7 @@
 
 use seepd_gap::SimulatedAxis;
 use seepd_sim::batch::follow;
-use seepd_sim::cycle::{DriveSample, LoadCorner, Move, load_at};
+use seepd_sim::cycle::{DriveSample, LoadCorner, Move, OpenLoop, OpenLoopTick, load_at};
 use seepd_sim::{DutyCycle, MachineSpec};
 
 use crate::duty_cycle::FoundCycle;
@@ -200,6 +200,7 @@ fn drive_of(demand: &[f64], load_n: &[f64], tick_s: f64) -> Vec<DriveSample> {
         load_n: load_n[tick],
         load_end_n: load_n[(tick + 1) % load_n.len()],
         leak_area_m2: 0.0,
+        open_loop: OpenLoopTick::default(),
     };
     (0..demand.len()).map(of).collect()
 }
@@ -223,6 +224,9 @@ pub fn planned(
         let (from, to) = (hold.0 + span / 3, (hold.1 - span / 3).max(hold.0 + span / 3 + 1));
         mean(demand.get(from..to.min(ticks)).unwrap_or_default())
     };
+    // Where demand and position tell an open-loop part, they tell where strokes begin and end too: what the command does in the holds beside
+    // them, as over a dead band, is the controller's.
+    let has_open_loop = found.strokes.iter().any(|stroke| stroke.open_loop.is_some());
     let mut moves = Vec::with_capacity(edges.len());
     for (index, stroke) in found.strokes.iter().enumerate() {
         let (from, to) = edges[index];
@@ -230,10 +234,14 @@ pub fn planned(
         let (hold_before, hold_after) = (middles[index], middles[index + 1]);
         let rest_before = mean(&command[hold_before..from.max(hold_before + 1)]);
         let rest_after = mean(&command[to.min(hold_after.saturating_sub(1))..hold_after.max(1)]);
-        let leaves = (hold_before..from)
+        let (earliest, latest) = match has_open_loop {
+            true => (from.saturating_sub((to - from) / 20), to + (to - from) / 20),
+            false => (0, ticks),
+        };
+        let leaves = (hold_before.max(earliest)..from)
             .find(|tick| (command[*tick] - rest_before).abs() > NEAR * peak)
             .unwrap_or(from);
-        let returns = (to..hold_after)
+        let returns = (to..hold_after.min(latest))
             .rev()
             .find(|tick| (command[*tick] - rest_after).abs() > NEAR * peak)
             .map_or(to, |tick| tick + 1);
@@ -254,6 +262,9 @@ pub fn planned(
             to_m: levels[index],
             course: course(demand, (*from, *to), (before, levels[index])),
             wait_s: found.wait_s(index),
+            open_loop: found.strokes[index]
+                .open_loop
+                .map(|part| own_command(command, (*from, *to), part.to_s, tick_s)),
         }
     });
     DutyCycle { period_s: ticks as f64 * tick_s, moves: strokes.collect(), load }
@@ -265,6 +276,19 @@ fn middles(edges: &[(usize, usize)], ticks: usize) -> Vec<usize> {
     middles.extend(edges.windows(2).map(|pair| pair[0].1.midpoint(pair[1].0)));
     middles.push(ticks);
     middles
+}
+
+/// The open-loop part of a move between two ticks, with the command that it has in the mean cycle.
+fn own_command(command: &[f64], (from, to): (usize, usize), to_s: f64, tick_s: f64) -> OpenLoop {
+    let ends = ((to_s / tick_s).round() as usize).clamp(from + 1, to.saturating_sub(2).max(from + 1));
+    let steps = (ends - from).min(COURSE_POINTS);
+    let at = |step: usize| {
+        let place = from as f64 + (ends - from) as f64 * step as f64 / steps as f64;
+        let (low, high) = (place as usize, (place as usize + 1).min(command.len() - 1));
+        let value = command[low] + (command[high] - command[low]) * place.fract();
+        (value.clamp(-1.0, 1.0) * 1e6).round() / 1e6
+    };
+    OpenLoop { to_s: ends as f64 * tick_s, command: (0..=steps).map(at).collect() }
 }
 
 /// Share of the way at equal steps of a stroke's time.

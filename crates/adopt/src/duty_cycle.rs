@@ -3,8 +3,11 @@
 //! A machine that waits for its operator or its part has no period. So cycles are looked for in the order of the strokes, not in time: the
 //! shortest row of strokes that repeats. The wait that varies most, or the longest, ends the cycle; what varies there costs nothing.
 
+use std::ops::Range;
+
 use seepd_signals::Signal;
 
+use crate::open_loop::{OpenLoopPart, with_open_loop};
 use crate::recording::Recording;
 use crate::strokes::{Guide, Stroke, Strokes, find, mean, quantile};
 
@@ -112,6 +115,8 @@ pub struct CycleStroke {
     pub way: f64,
     /// Time of the hold after it, to the next stroke of the same cycle or of the next one.
     pub hold_after: Duration,
+    /// Its beginning without position control, where the log tells one.
+    pub open_loop: Option<OpenLoopPart>,
 }
 
 /// The duty cycle of a recording.
@@ -140,6 +145,15 @@ impl FoundCycle {
         (0..inner).filter(|i| self.strokes[*i].hold_after.spread_s() > VARYING * self.period_s).collect()
     }
 
+    /// The ticks of its open-loop parts.
+    pub fn open_ticks(&self, tick_s: f64) -> Vec<Range<usize>> {
+        let tick = |at_s: f64| (at_s / tick_s).round().max(0.0) as usize;
+        self.strokes
+            .iter()
+            .filter_map(|stroke| Some(tick(stroke.from_s)..tick(stroke.open_loop?.to_s)))
+            .collect()
+    }
+
     /// How far the time between first and last stroke may exceed the plan, share of the period.
     pub fn stretch(&self) -> f64 {
         let inner = self.strokes.len().saturating_sub(1);
@@ -150,6 +164,25 @@ impl FoundCycle {
     /// wait is nobody's.
     pub fn wait_s(&self, stroke: usize) -> f64 {
         if self.varying_holds().contains(&stroke) { self.strokes[stroke].hold_after.spread_s() } else { 0.0 }
+    }
+
+    /// Makes one stroke of two that follow each other.
+    pub(crate) fn join(&mut self, index: usize) {
+        if index + 1 >= self.strokes.len() {
+            return;
+        }
+        let second = self.strokes.remove(index + 1);
+        for starts in &mut self.cycles {
+            starts.remove(index + 1);
+        }
+        let first = &mut self.strokes[index];
+        first.to_s = second.to_s;
+        first.way += second.way;
+        first.hold_after = second.hold_after;
+        let outwards: Vec<bool> = self.strokes.iter().map(|stroke| stroke.way > 0.0).collect();
+        for (stroke, name) in self.strokes.iter_mut().zip(names(&outwards)) {
+            stroke.name = name;
+        }
     }
 
     /// Mean of a signal over the cycles at steps of a tick, each stroke aligned by itself; `None` where the recording lacks it.
@@ -229,8 +262,15 @@ fn at(values: &[f64], place: f64) -> Option<f64> {
 pub fn find_duty_cycle(recording: &Recording) -> Result<FoundCycle, DutyCycleError> {
     let guide = Guide::of(recording).ok_or(DutyCycleError::NoCommand)?;
     let found = find(recording, guide);
-    let row = Row::of(&found, guide)?;
-    row.rotated(&found, recording.rate_hz).cycle(recording, &found, guide)
+    let of = |found: &Strokes| {
+        Row::of(found, guide)?.rotated(found, recording.rate_hz).cycle(recording, found, guide)
+    };
+    let cycle = of(&found).or_else(|error| {
+        // A short stop in a stroke, as where position control takes over, may be seen in one cycle and not in the next.
+        let joined = found.joined();
+        if joined.strokes.len() < found.strokes.len() { of(&joined).map_err(|_| error) } else { Err(error) }
+    })?;
+    Ok(with_open_loop(recording, cycle))
 }
 
 /// A row of strokes that repeats.
@@ -374,7 +414,7 @@ impl Row {
             let (from_s, to_s) = (time_s, time_s + durations[i]);
             time_s = to_s + planned_s(&holds[i]);
             let way = Duration::of(&of(&|start| Some(strokes[start + i].way))).median_s;
-            planned.push(CycleStroke { name, from_s, to_s, way, hold_after: holds[i] });
+            planned.push(CycleStroke { name, from_s, to_s, way, hold_after: holds[i], open_loop: None });
         }
         let cycles = self
             .starts

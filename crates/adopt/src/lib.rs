@@ -5,6 +5,7 @@ pub mod controller;
 pub mod drive;
 pub mod duty_cycle;
 pub mod machine_data;
+pub mod open_loop;
 pub mod plant;
 pub mod process_force;
 pub mod recording;

@@ -22,7 +22,7 @@ const SERVO_RATED_BAR: f64 = 70.0;
 const USUAL_LOOP_PER_S: f64 = 9.3;
 const USUAL_INTEGRAL_PER_S: f64 = 1.25;
 /// Widest dead band that the plant knows.
-const WIDEST_OVERLAP: f64 = 0.15;
+const WIDEST_OVERLAP: f64 = 0.25;
 /// Longest task period that is simulated, s: a slower log has every n-th command of a faster controller.
 const LONGEST_TASK_S: f64 = 4e-3;
 

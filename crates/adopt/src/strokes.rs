@@ -72,6 +72,29 @@ pub struct Strokes {
     pub rest: f64,
 }
 
+impl Strokes {
+    /// With strokes the same way made one where the stop between them is short beside either.
+    pub(crate) fn joined(&self) -> Self {
+        let length = |stroke: &Stroke| stroke.end - stroke.start;
+        let mut strokes: Vec<Stroke> = Vec::with_capacity(self.strokes.len());
+        for stroke in &self.strokes {
+            match strokes.last_mut() {
+                Some(last)
+                    if last.way * stroke.way > 0.0
+                        && (stroke.start.saturating_sub(last.end) as f64)
+                            < SHORT_STOP * length(last).min(length(stroke)) as f64 =>
+                {
+                    (last.end, last.way) = (stroke.end, last.way + stroke.way);
+                }
+                _ => strokes.push(*stroke),
+            }
+        }
+        Strokes { strokes, ..*self }
+    }
+}
+
+/// A stop is short that takes less than this share of the shorter stroke beside it.
+const SHORT_STOP: f64 = 0.25;
 /// Shortest stroke and shortest hold, s, and samples.
 const SHORTEST_S: f64 = 0.03;
 const SHORTEST_SAMPLES: usize = 3;

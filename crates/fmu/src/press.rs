@@ -2,8 +2,10 @@
 
 use std::sync::Arc;
 
+use seepd_sim::cycle::OpenLoopTick;
 use seepd_sim::effects::{self, Effect};
 use seepd_sim::machine::{Input, Machine, MachineState};
+use seepd_sim::spec::refuse_open_loop;
 use seepd_sim::{Controller, MachineSpec, PlantParameters, Size};
 
 use crate::machine::{Engine, periods_in};
@@ -75,6 +77,10 @@ impl PressEngine {
     pub(crate) fn new(resources: &Resources, variables: &mut Variables) -> Result<Self, ModelError> {
         let spec = MachineSpec::from_toml(&resources.text)?;
         let placement = resources.placement;
+        if placement == Placement::Inside {
+            // Such a part takes its demand from the position, and from outside comes a demand.
+            refuse_open_loop(&spec.cycle, "an FMU with the controller inside")?;
+        }
         let start_m = spec.cycle.start_position_m();
         let reference = match placement {
             Placement::Outside => variables.input("command", "1", 0.0, COMMAND),
@@ -206,6 +212,7 @@ impl Running {
             load_end: load,
             a_leak: values[places.leak].max(0.0),
             at: self.time_s.rem_euclid(cycle_s),
+            open_loop: OpenLoopTick::default(),
         }
     }
 
@@ -231,6 +238,7 @@ impl Engine for PressEngine {
             load_end: values[self.places.load],
             a_leak: 0.0,
             at: values[self.places.start_time].rem_euclid(self.spec.cycle.period_s),
+            open_loop: OpenLoopTick::default(),
         };
         let mut state = machine.start_at(&start);
         let seen = machine.sense(&mut state);

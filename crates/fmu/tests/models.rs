@@ -9,6 +9,7 @@ use seepd_fmu::{
     Causality, Kind, LibraryError, ModelError, Package, Placement, Platform, Resources, Simulation, Subject,
 };
 use seepd_sim::MachineSpec;
+use seepd_sim::cycle::OpenLoopTick;
 use seepd_sim::machine::{Input, Machine};
 
 fn press(placement: Placement, spec: &MachineSpec) -> Resources {
@@ -52,6 +53,7 @@ fn reference_the_press_with_its_controller_is_the_machine() {
         load_end: -2000.0,
         a_leak: 3e-7,
         at: f64::from(tick) * 1e-3,
+        open_loop: OpenLoopTick::default(),
     };
     let mut state = machine.start_at(&input(0));
     // The leak may change between steps.

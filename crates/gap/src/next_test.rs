@@ -320,6 +320,7 @@ impl Plan {
             to_m,
             course,
             wait_s: 0.0,
+            open_loop: None,
         });
         self.at_s += seconds;
         self.at_m = to_m;
@@ -424,6 +425,7 @@ fn drive_of(cycle: &DutyCycle, tick_s: f64) -> Vec<DriveSample> {
                 load_n: cycle.load_n(at_s),
                 load_end_n: cycle.load_n(at_s + tick_s),
                 leak_area_m2: 0.0,
+                open_loop: cycle.open_loop_at(at_s),
             }
         })
         .collect()

@@ -3,7 +3,7 @@
 use seepd_signals::Signal;
 use seepd_sim::MachineSpec;
 use seepd_sim::batch::follow;
-use seepd_sim::cycle::{DriveSample, RunStart};
+use seepd_sim::cycle::{DriveSample, OpenLoopTick, RunStart};
 
 use crate::press::of;
 use crate::record::{RecordError, bridged};
@@ -89,6 +89,7 @@ pub fn predict(run: &Run, machine: &MachineSpec) -> Result<Prediction, RecordErr
             load_n: load_at(tick),
             load_end_n: load_at(tick + 1),
             leak_area_m2: 0.0,
+            open_loop: OpenLoopTick::default(),
         })
         .collect();
     let sensor = |signal: Signal| machine.sensors.get(signal.name());

@@ -266,6 +266,7 @@ fn with_run(machine: &MachineSpec, period_s: f64, position_m: &[f64], load_n: &[
         to_m,
         course,
         wait_s: 0.0,
+        open_loop: None,
     };
     // A move goes from 0 to 1: a run that ends where it began goes there in two.
     let turn = furthest_from(position_m, *first);
@@ -436,9 +437,14 @@ fn controller(spec: &MachineSpec, u: &[f64], x: &[f64], dt: f64) -> Vec<f64> {
         let bin = bin % BINS;
         spec.cycle.demand_m((bin as f64 + 0.5) * dt) - x[bin]
     };
+    let is_open = |bin: usize| spec.cycle.open_loop_at(((bin % BINS) as f64 + 0.5) * dt).is_open > 0.0;
     (0..BINS)
         .map(|bin| {
             let (next, before) = (bin + 1, bin + BINS - 1);
+            // There the controller makes nothing.
+            if [before, bin, next].into_iter().any(is_open) {
+                return 0.0;
+            }
             let rate = (u[next % BINS] - u[before % BINS]) / (2.0 * dt);
             rate - c.kp * (error(next) - error(before)) / (2.0 * dt) - c.ki * error(bin)
         })
@@ -499,6 +505,7 @@ mod tests {
                     load_n: cycle.load_n(at_s),
                     load_end_n,
                     leak_area_m2: 0.0,
+                    open_loop: cycle.open_loop_at(at_s),
                 }
             })
             .collect();

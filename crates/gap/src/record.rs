@@ -597,6 +597,7 @@ fn cut<A: SimulatedAxis>(
             load_n: load_at(tick),
             load_end_n: load_at(tick + 1),
             leak_area_m2: 0.0,
+            open_loop: spec.duty_cycle().open_loop_at(tick as f64 * period_s),
         })
         .collect();
     Some(RecordedCycle { bins, drive: Drive::from(drive), group: 0 })

@@ -6,7 +6,7 @@
 use std::ops::Range;
 
 use seepd_signals::Signal;
-use seepd_sim::cycle::{DriveSample, RunStart};
+use seepd_sim::cycle::{DriveSample, OpenLoopTick, RunStart};
 
 use crate::record::{
     ANOTHER_KIND, FEWEST_SAMPLES, Log, Mismatch, Record, RecordError, RecordedCycle, binned, bridged, check,
@@ -295,6 +295,7 @@ fn drive_of<A: SimulatedAxis>(group: &[Piece<'_>], ticks: usize, spec: &A) -> Dr
             load_n: at(&loads, tick),
             load_end_n: at(&loads, tick + 1),
             leak_area_m2: 0.0,
+            open_loop: OpenLoopTick::default(),
         })
         .collect();
     let over = (START_S / spec.tick_s()).ceil() as usize;

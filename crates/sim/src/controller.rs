@@ -149,6 +149,17 @@ pub(crate) struct PidState<T> {
     demand: T,
 }
 
+impl<T: Real> PidState<T> {
+    /// In each lane the other state where `is_other` is positive.
+    pub(crate) fn or_where_positive(&self, is_other: T, other: &Self) -> Self {
+        PidState {
+            integral: is_other.where_positive(other.integral, self.integral),
+            position: is_other.where_positive(other.position, self.position),
+            demand: is_other.where_positive(other.demand, self.demand),
+        }
+    }
+}
+
 impl<T: Real> Pid<T> {
     pub(crate) fn new(machines: &[&Controller]) -> Self {
         let each = |value: &dyn Fn(&Controller) -> f64| {
@@ -192,6 +203,23 @@ impl<T: Real> Pid<T> {
         let output = others + state.integral;
         let jump = if self.is_extended { self.jump(output) } else { T::splat(0.0) };
         (output + jump).max(-one).min(one)
+    }
+
+    /// What the controller keeps while a command that is not its own acts: the integrator holds what goes on with that command, so that
+    /// taking over is no jump.
+    pub(crate) fn tracking(&self, before: &PidState<T>, command: T, position: T) -> PidState<T> {
+        let moved = position - before.position;
+        let held = self.uncompensated(command) + (self.kd_per_period - self.feed_forward_per_period) * moved;
+        let integral = self.ki_period.where_positive(held, T::splat(0.0));
+        PidState { integral, position, demand: position }
+    }
+
+    /// What the control law would have given before the jump over the dead band.
+    fn uncompensated(&self, command: T) -> T {
+        let steep = self.dead_band_compensation * T::splat(1.0 / COMPENSATED_FROM);
+        let small = command / (T::splat(1.0) + steep);
+        let with_sign = command.where_positive(self.dead_band_compensation, -self.dead_band_compensation);
+        (T::splat(COMPENSATED_FROM) - small.abs()).where_positive(small, command - with_sign)
     }
 
     /// What the compensation of the dead band adds.

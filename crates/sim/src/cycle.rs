@@ -22,19 +22,67 @@ pub struct Move {
     /// How much longer than planned the machine may stand after the move, where an event ends the hold, s.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub wait_s: f64,
+    /// A beginning without position control.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub open_loop: Option<OpenLoop>,
 }
+
+/// The beginning of a move in which the valve gets a command of its own, as in a rapid traverse. The demand is the measured position
+/// meanwhile. Then position control leads the piston from where it is to the move's end.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OpenLoop {
+    /// Time in the cycle at which position control begins, s.
+    pub to_s: f64,
+    /// Command at equal steps of time from the move's start to there, share of full command, linear between them.
+    pub command: Vec<f64>,
+}
+
+/// Who makes the command at a tick, of one machine or of several in lanes.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct OpenLoopTick<T> {
+    /// 1 where the command is the move's own, 0 where the controller makes it.
+    pub is_open: T,
+    /// The move's own command, share of full command.
+    pub command: T,
+    /// By how much of the distance at which position control began beside the planned position the demand is beside the planned one: 1
+    /// until then, 0 from the move's end on.
+    pub carried: T,
+}
+
+/// Share of a move's way that is left at the least for the rest of the way to say how the demand comes back to its plan: else time does.
+const LEAST_WAY_LEFT: f64 = 0.02;
 
 impl Move {
     /// Share of the way at a share of the time.
     fn progress(&self, tau: f64) -> f64 {
         let tau = tau.clamp(0.0, 1.0);
-        let Some(steps) = self.course.len().checked_sub(1).filter(|steps| *steps > 0) else {
-            return quintic(tau);
+        if self.course.len() > 1 { at_share(&self.course, tau) } else { quintic(tau) }
+    }
+
+    /// Share of the way at a time in the cycle.
+    fn progress_at(&self, at_s: f64) -> f64 {
+        self.progress((at_s - self.from_s) / (self.to_s - self.from_s))
+    }
+
+    /// Who makes the command at a time in the cycle.
+    fn open_loop_at(&self, at_s: f64) -> Option<OpenLoopTick<f64>> {
+        let open = self.open_loop.as_ref().filter(|_| (self.from_s..self.to_s).contains(&at_s))?;
+        if at_s < open.to_s {
+            let share = (at_s - self.from_s) / (open.to_s - self.from_s);
+            return Some(OpenLoopTick {
+                is_open: 1.0,
+                command: at_share(&open.command, share),
+                carried: 1.0,
+            });
+        }
+        let left = 1.0 - self.progress_at(open.to_s);
+        let carried = if left > LEAST_WAY_LEFT {
+            ((1.0 - self.progress_at(at_s)) / left).clamp(0.0, 1.0)
+        } else {
+            1.0 - quintic((at_s - open.to_s) / (self.to_s - open.to_s))
         };
-        let place = tau * steps as f64;
-        let before = (place as usize).min(steps - 1);
-        let (from, to) = (self.course[before], self.course[before + 1]);
-        from + (to - from) * (place - before as f64)
+        Some(OpenLoopTick { is_open: 0.0, command: 0.0, carried })
     }
 
     /// Time in the cycle at a share of the move's time, s.
@@ -105,6 +153,7 @@ impl Default for DutyCycle {
             to_m,
             course: Vec::new(),
             wait_s: 0.0,
+            open_loop: None,
         };
         let corner = |at_s, force_n| LoadCorner { at_s, force_n };
         DutyCycle {
@@ -117,6 +166,17 @@ impl Default for DutyCycle {
             load: vec![corner(3.20, -2e3), corner(3.25, -15e3), corner(5.60, -15e3), corner(5.65, -2e3)],
         }
     }
+}
+
+/// The value at a share of a row of values at equal steps, linear between them; 0 without any.
+fn at_share(values: &[f64], share: f64) -> f64 {
+    let Some(steps) = values.len().checked_sub(1).filter(|steps| *steps > 0) else {
+        return values.first().copied().unwrap_or(0.0);
+    };
+    let place = share * steps as f64;
+    let before = (place as usize).min(steps - 1);
+    let (from, to) = (values[before], values[before + 1]);
+    from + (to - from) * (place - before as f64)
 }
 
 /// `10 τ³ − 15 τ⁴ + 6 τ⁵`: from 0 to 1 with no velocity and no acceleration at either end.
@@ -148,6 +208,16 @@ impl DutyCycle {
                 * stroke.progress((at_s - stroke.from_s) / (stroke.to_s - stroke.from_s));
         }
         position
+    }
+
+    /// Whether a move begins open loop.
+    pub fn has_open_loop(&self) -> bool {
+        self.moves.iter().any(|stroke| stroke.open_loop.is_some())
+    }
+
+    /// Who makes the command at a time within the cycle.
+    pub fn open_loop_at(&self, at_s: f64) -> OpenLoopTick<f64> {
+        self.moves.iter().find_map(|stroke| stroke.open_loop_at(at_s)).unwrap_or_default()
     }
 
     /// Each move with the position from which it starts, m.
@@ -233,6 +303,8 @@ pub struct DriveSample {
     pub load_end_n: f64,
     /// Leak area, m².
     pub leak_area_m2: f64,
+    /// Who makes the command of a machine with a controller.
+    pub open_loop: OpenLoopTick<f64>,
 }
 
 /// Where a run begins that no duty cycle precedes: at rest, with what is known of the chambers' pressures.
@@ -285,6 +357,12 @@ impl Schedule {
         ((self.cycle.period_s * run.stretch + run.pause_s) / self.period_s).round().max(1.0) as u64
     }
 
+    /// A run that takes longer goes the same way, more slowly.
+    fn open_loop_at(&self, at_s: f64, stretch: f64) -> OpenLoopTick<f64> {
+        let tick = self.cycle.open_loop_at(at_s);
+        OpenLoopTick { command: tick.command / stretch, ..tick }
+    }
+
     fn load_at(&self, run: usize, tick: u64) -> f64 {
         let of = self.at(run);
         self.cycle.load_n(tick as f64 * self.period_s / of.stretch) * of.load_factor
@@ -314,6 +392,7 @@ impl Iterator for Schedule {
             load_n,
             load_end_n,
             leak_area_m2: of.leak_area_m2,
+            open_loop: self.open_loop_at(at_s, of.stretch),
         })
     }
 }

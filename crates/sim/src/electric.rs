@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::cycle::{DriveSample, DutyCycle};
 use crate::effects::{EffectInfo, Equation, Parameter};
-use crate::spec::{SpecError, unknown_name};
+use crate::spec::{SpecError, refuse_open_loop, unknown_name};
 
 /// The machine: the content of a plant file with `kind = "electric_axis"`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -216,6 +216,7 @@ impl ElectricAxis {
         if self.cycle.moves.is_empty() {
             return Err(SpecError::NoMoves);
         }
+        refuse_open_loop(&self.cycle, "an electric axis")?;
         let (period_s, controller_period_s) = (self.cycle.period_s, self.controller.period_s);
         if period_s < 20.0 * controller_period_s {
             return Err(SpecError::ShortCycle { period_s, controller_period_s });

@@ -1,7 +1,7 @@
 //! A machine: plant, controller and effects, advanced one controller tick at a time.
 
 use crate::controller::{Pid, PidState};
-use crate::cycle::{DriveSample, RunStart};
+use crate::cycle::{DriveSample, OpenLoopTick, RunStart};
 use crate::effects::{self, Constants, Law, Sensing, Substep};
 use crate::plant::{ActingLaws, Drive, Plant, State};
 use crate::real::Real;
@@ -20,6 +20,8 @@ pub struct Input<T> {
     pub a_leak: T,
     /// Time in the duty cycle, s.
     pub at: T,
+    /// Who makes the command.
+    pub open_loop: OpenLoopTick<T>,
 }
 
 impl<T: Real> Input<T> {
@@ -36,6 +38,11 @@ impl<T: Real> Input<T> {
             load_end: T::from_lanes(|lane| at(lane).load_end_n),
             a_leak: T::from_lanes(|lane| at(lane).leak_area_m2),
             at: T::from_lanes(|lane| at(lane).at_s),
+            open_loop: OpenLoopTick {
+                is_open: T::from_lanes(|lane| at(lane).open_loop.is_open),
+                command: T::from_lanes(|lane| at(lane).open_loop.command),
+                carried: T::from_lanes(|lane| at(lane).open_loop.carried),
+            },
         }
     }
 }
@@ -84,6 +91,8 @@ pub struct Machine<T: Real> {
     start: (T, T),
     /// Whether a controller makes the command.
     is_controlled: bool,
+    /// Whether a move of any machine begins open loop.
+    has_open_loop: bool,
 }
 
 /// What changes while a machine runs.
@@ -93,6 +102,8 @@ pub struct MachineState<T> {
     pub plant: State<T>,
     pid: PidState<T>,
     memory: Vec<Vec<T>>,
+    /// How far the position at which an open-loop part ended was from the planned one, m.
+    beside_plan: T,
     tick: u64,
     /// How many times a pressure was held at 0, each an instance of cavitation that is not modelled.
     pub clamped_pressures: u64,
@@ -143,6 +154,7 @@ impl<T: Real> Machine<T> {
             period,
             dt,
             is_controlled: !specs[0].controller.is_none(),
+            has_open_loop: specs.iter().any(|spec| spec.cycle.has_open_loop()),
             start: (
                 T::from_lanes(|lane| of(lane).cycle.start_position_m()),
                 T::from_lanes(|lane| of(lane).cycle.load_n(0.0)),
@@ -174,6 +186,7 @@ impl<T: Real> Machine<T> {
             plant,
             pid: self.pid.start(plant.x),
             memory: self.laws.iter().map(|law| vec![T::splat(0.0); law.memory()]).collect(),
+            beside_plan: T::splat(0.0),
             tick: 0,
             clamped_pressures: 0,
         }
@@ -183,8 +196,37 @@ impl<T: Real> Machine<T> {
     #[inline(always)]
     pub fn tick(&self, state: &mut MachineState<T>, input: &Input<T>) -> SimulatedSignals<T> {
         let position = self.sense(state);
-        let command = self.command(state, input.demand, position);
-        self.moved_on(state, command, position, input)
+        let demand = if self.has_open_loop { self.asked(state, position, input) } else { input.demand };
+        let before = state.pid;
+        let mut command = self.command(state, demand, position);
+        if self.has_open_loop {
+            command = self.own_or(state, command, &before, position, &input.open_loop);
+        }
+        self.moved_on(state, command, position, &Input { demand, ..*input })
+    }
+
+    /// The demand of a tick where moves may begin open loop: the measured position then, and later the plan with what is left of the
+    /// distance between the two.
+    fn asked(&self, state: &mut MachineState<T>, position: T, input: &Input<T>) -> T {
+        let OpenLoopTick { is_open, carried, .. } = input.open_loop;
+        state.beside_plan = is_open.where_positive(position - input.demand, state.beside_plan);
+        is_open.where_positive(position, input.demand + carried * state.beside_plan)
+    }
+
+    /// The move's own command in its open-loop part, which the controller follows, and else the controller's.
+    fn own_or(
+        &self,
+        state: &mut MachineState<T>,
+        controlled: T,
+        before: &PidState<T>,
+        position: T,
+        open_loop: &OpenLoopTick<T>,
+    ) -> T {
+        let OpenLoopTick { is_open, command: own, .. } = *open_loop;
+        let tracking = self.pid.tracking(before, own, position);
+        state.pid = state.pid.or_where_positive(is_open, &tracking);
+        let one = T::splat(1.0);
+        is_open.where_positive(own.max(-one).min(one), controlled)
     }
 
     /// As [`tick`](Self::tick); where no controller makes the command, it is the drive's.

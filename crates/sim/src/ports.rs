@@ -294,7 +294,7 @@ impl PortLoop {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cycle::{CycleRun, Schedule};
+    use crate::cycle::{CycleRun, OpenLoopTick, Schedule};
     use crate::machine::{Input, Machine};
     use crate::spec::MachineSpec;
 
@@ -325,8 +325,14 @@ mod tests {
         }
 
         fn step(&mut self, input: &PortInput) -> Result<PortOutput, Self::Error> {
-            let held =
-                Input { demand: f64::NAN, load: input.load_n, load_end: input.load_n, a_leak: 0.0, at: 0.0 };
+            let held = Input {
+                demand: f64::NAN,
+                load: input.load_n,
+                load_end: input.load_n,
+                a_leak: 0.0,
+                at: 0.0,
+                open_loop: OpenLoopTick::default(),
+            };
             if let Some(state) = &mut self.state {
                 self.machine.run(state, input.reference, &held);
             }

@@ -103,7 +103,7 @@ fn move_along(spec: &mut MachineSpec, direction: &Direction, by: f64) {
 /// The machine with so much more overlap of its valve's lands, share of full command: the effect `valve_deadband`, up to its largest value.
 pub fn with_more_deadband(spec: &MachineSpec, half_width: f64) -> MachineSpec {
     let (effect, parameter) = (&ValveDeadband, &ValveDeadband.parameters()[0]);
-    let wider = (deadband(spec) + half_width).min(parameter.range.1);
+    let wider = (deadband(spec) + half_width).min(Size::of(spec).range_of(parameter).1);
     let mut overlapped = spec.clone();
     overlapped.effects.entry(effect.key().into()).or_default().insert(parameter.name.into(), wider);
     overlapped

@@ -2,8 +2,9 @@
 //!
 //! By octaves: machines of one series are of one size, and the nominal press and its likes have the ranges of the catalogue to the bit.
 
-use crate::effects::Parameter;
+use crate::effects::{Effect, Parameter, ValveDeadband};
 use crate::plant::PlantParameters;
+use crate::series::deadband;
 use crate::spec::MachineSpec;
 
 /// Ratios to the nominal press, powers of two.
@@ -19,7 +20,13 @@ pub struct Size {
     pub pressure: f64,
     /// Flow of the valve at a given pressure drop.
     pub valve: f64,
+    /// Whether its valve's lands overlap by more than is usual.
+    pub overlaps_widely: bool,
 }
+
+/// The widest dead band of a valve whose lands overlap by more than is usual, half width as a share of full command: proportional valves for
+/// presses are sold with 20 %.
+const WIDEST_DEADBAND: f64 = 0.25;
 
 impl Size {
     /// The size of a machine.
@@ -32,6 +39,7 @@ impl Size {
             volume: over_nominal(|p| p.cap_area_m2 * p.stroke_m),
             pressure: over_nominal(|p| p.relief_pressure_pa),
             valve: over_nominal(|p| p.valve_m3_per_s_sqrt_pa),
+            overlaps_widely: deadband(spec) > ValveDeadband.parameters()[0].range.1,
         }
     }
 
@@ -48,7 +56,12 @@ impl Size {
             "Pa" => self.pressure,
             _ => 1.0,
         };
-        (scale * parameter.range.0, scale * parameter.range.1)
+        let high = if self.overlaps_widely && parameter.name == ValveDeadband.parameters()[0].name {
+            WIDEST_DEADBAND
+        } else {
+            parameter.range.1
+        };
+        (scale * parameter.range.0, scale * high)
     }
 }
 
@@ -85,6 +98,19 @@ mod tests {
         assert_eq!(Size::of(&spec).range_of(&friction.parameters()[0]), (0.0, 8e4));
         let ranges = |spec: &MachineSpec| spec.clone().set_effect("coulomb_friction.force_n=40000");
         assert!(ranges(&spec).is_ok() && ranges(&MachineSpec::default()).is_err());
+    }
+
+    /// A valve that overlaps by more than is usual has a wider range; other machines keep the catalogue's.
+    #[test]
+    fn a_valve_may_overlap_by_a_quarter() {
+        let with = |half_width: f64| {
+            let mut spec = MachineSpec::default();
+            spec.set_effect(&format!("valve_deadband.half_width={half_width}")).map(|()| spec)
+        };
+        let half_width = &ValveDeadband.parameters()[0];
+        assert_eq!(Size::of(&with(0.15).unwrap()).range_of(half_width), (0.0, 0.15));
+        assert_eq!(Size::of(&with(0.2).unwrap()).range_of(half_width), (0.0, 0.25));
+        assert!(with(0.26).is_err());
     }
 
     #[test]

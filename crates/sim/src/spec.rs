@@ -6,7 +6,7 @@ use seepd_settings::{FormatError, UnknownKey, parse_toml};
 use serde::{Deserialize, Serialize};
 
 use crate::controller::{Controller, Pid};
-use crate::cycle::DutyCycle;
+use crate::cycle::{DutyCycle, Move};
 use crate::effects::{self, Constants, Effect};
 use crate::learned;
 use crate::plant::{Plant, PlantParameters, RK4_STABILITY_LIMIT};
@@ -77,6 +77,16 @@ pub enum SpecError {
     /// The duty cycle has no moves.
     #[error("cycle.moves is empty: a machine that never moves has no duty cycle")]
     NoMoves,
+    /// A move of a plant that cannot begin open loop.
+    #[error(
+        "cycle.moves[{index}].open_loop: {plant} is position controlled all along; leave the table out, or describe the machine as a press"
+    )]
+    OpenLoop {
+        /// Index of the move.
+        index: usize,
+        /// What cannot.
+        plant: &'static str,
+    },
     /// The duty cycle is shorter than 20 controller periods.
     #[error(
         "cycle.period_s is {period_s}; it must be 20 controller periods of {controller_period_s} s or more"
@@ -350,6 +360,7 @@ impl MachineSpec {
             )?;
             in_range(format!("cycle.moves[{index}].to_m"), stroke.to_m, 0.0, self.plant.stroke_m)?;
             check_course(index, &stroke.course)?;
+            check_open_loop(index, stroke)?;
             in_range(format!("cycle.moves[{index}].wait_s"), stroke.wait_s, 0.0, cycle.period_s)?;
             time = stroke.to_s;
         }
@@ -450,6 +461,32 @@ fn check_course(index: usize, course: &[f64]) -> Result<(), SpecError> {
     let (Some(first), Some(last)) = (course.first(), course.last()) else { return Ok(()) };
     in_range(key(0), *first, 0.0, 0.0)?;
     in_range(key(course.len() - 1), *last, 1.0, 1.0)
+}
+
+/// Most values of a course of the command: with more of them a file is no longer one to read.
+const MOST_COMMANDS: usize = 10_000;
+
+/// Checks that an open-loop part lies within its move, with time for position control after it.
+fn check_open_loop(index: usize, stroke: &Move) -> Result<(), SpecError> {
+    let Some(open) = &stroke.open_loop else { return Ok(()) };
+    let key = |name: &str| format!("cycle.moves[{index}].open_loop.{name}");
+    in_range(key("to_s"), open.to_s, stroke.from_s + 1e-3, stroke.to_s - 1e-3)?;
+    in_range(key("command (its values)"), open.command.len() as f64, 1.0, MOST_COMMANDS as f64)?;
+    open.command
+        .iter()
+        .enumerate()
+        .try_for_each(|(at, command)| in_range(key(&format!("command[{at}]")), *command, -1.0, 1.0))
+}
+
+/// Refuses moves that begin open loop, for a plant that cannot.
+///
+/// # Errors
+/// [`SpecError::OpenLoop`] for the first such move.
+pub fn refuse_open_loop(cycle: &DutyCycle, plant: &'static str) -> Result<(), SpecError> {
+    match cycle.moves.iter().position(|stroke| stroke.open_loop.is_some()) {
+        Some(index) => Err(SpecError::OpenLoop { index, plant }),
+        None => Ok(()),
+    }
 }
 
 /// A number without a row of noughts.

@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use seepd_sim::batch::{Job, commands};
-use seepd_sim::cycle::CycleRun;
+use seepd_sim::cycle::{CycleRun, OpenLoop};
 use seepd_sim::effects;
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
@@ -42,6 +42,12 @@ fn jobs(count: usize) -> Vec<Job> {
                 },
                 CycleRun { pause_s: 0.1, ..CycleRun::with_leak(1e-6) },
             ];
+            // Some moves begin open loop, beside lanes whose moves do not.
+            if index % 3 == 1 {
+                let to_s = noise.uniform(0.6, 2.0);
+                let command = (0..4).map(|_| noise.uniform(-0.2, 0.6)).collect();
+                spec.cycle.moves[0].open_loop = Some(OpenLoop { to_s, command });
+            }
             // Some begin in the middle of their cycle.
             let start_tick = 500 * (index as u64 % 3);
             Job { spec, runs, start_tick, skip_ticks: 0, record_ticks: TICKS }

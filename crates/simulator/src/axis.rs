@@ -8,7 +8,7 @@ use seepd_gap::record::RecordedCycle;
 use seepd_gap::simulated_axis::{CalibratedParameter, EffectValues, Imbalances, Scale, SimulatedAxis};
 use seepd_signals::Signal;
 use seepd_sim::DutyCycle;
-use seepd_sim::cycle::DriveSample;
+use seepd_sim::cycle::{DriveSample, OpenLoopTick};
 use seepd_sim::effects::{self, EffectInfo, Equation, Parameter};
 use seepd_sim::ports::port_of;
 
@@ -61,6 +61,7 @@ impl SimulatorAxis {
                     load_n,
                     load_end_n: load_n,
                     leak_area_m2: 0.0,
+                    open_loop: OpenLoopTick::default(),
                 }
             })
             .collect();

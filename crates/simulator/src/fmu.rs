@@ -17,7 +17,7 @@ use nix::sys::signal::Signal as ProcessSignal;
 use nix::unistd::{dup, dup2_stdout};
 use seepd_fmi::{Causality, Fmu, Instance, InstanceError, ModelDescription};
 use seepd_gap::record::binned;
-use seepd_sim::cycle::DriveSample;
+use seepd_sim::cycle::{DriveSample, OpenLoopTick};
 use seepd_sim::ports::{PortInput, PortOutput, SteppedPlant};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -284,6 +284,7 @@ impl HostedFmu {
             load_n: 0.0,
             load_end_n: 0.0,
             leak_area_m2: 0.0,
+            open_loop: OpenLoopTick::default(),
         };
         let mut answers = Vec::new();
         for pulse in [0.0, PULSE] {
@@ -363,6 +364,7 @@ fn samples(drive: &HostedDrive, period_s: f64) -> Vec<DriveSample> {
             load_n: *load_n,
             load_end_n: *load_end_n,
             leak_area_m2: 0.0,
+            open_loop: OpenLoopTick::default(),
         })
         .collect()
 }

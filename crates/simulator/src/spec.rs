@@ -387,6 +387,11 @@ impl SimulatorSpec {
                 "cycle.moves is empty: a machine that never moves has no duty cycle",
             ));
         }
+        if self.cycle.has_open_loop() {
+            return Err(SimulatorError::Combination(
+                "cycle.moves has an `open_loop`: a simulator of yours is position controlled all along; leave the table out",
+            ));
+        }
         self.check_simulator()?;
         self.check_inside()?;
         for (name, parameter) in &self.parameters {

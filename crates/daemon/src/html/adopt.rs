@@ -14,6 +14,7 @@ use super::chart::{Axis, Chart, Layer, number};
 use super::page;
 use crate::commands::adopt::Described;
 use crate::commands::adopt::capability::Capability;
+use crate::commands::adopt::told;
 
 /// Cycles that are laid over each other, and points of each.
 const DRAWN_CYCLES: usize = 30;
@@ -174,6 +175,7 @@ fn cycle(described: &Described) -> Markup {
     html! {
         p { (found.cycles.len()) " cycles of " (format!("{:.2}", found.period_s)) " s with " (found.strokes.len()) " strokes, found by the "
             (found.guide.signal().name()) ". " @if found.left_out > 0 { (found.left_out) " strokes belong to no cycle: moves by hand, set-up, cycles that were broken off." } }
+        @if let Some(sentence) = told::open_loop(found) { p { "Strokes " (sentence) "." } }
         @for chart in charts { (chart.render()) }
     }
 }

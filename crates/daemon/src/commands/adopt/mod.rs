@@ -5,7 +5,7 @@
 pub(crate) mod capability;
 mod files;
 mod questions;
-mod told;
+pub(crate) mod told;
 
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;

@@ -73,6 +73,25 @@ pub(super) fn cycle(recording: &Recording, found: &FoundCycle) {
             stroke.name, stroke.from_s, stroke.to_s, hold.median_s, hold.least_s, hold.most_s
         ));
     }
+    if let Some(sentence) = open_loop(found) {
+        say(format_args!("  {sentence}"));
+    }
+}
+
+/// Which strokes begin with a command of their own, in a sentence.
+pub(crate) fn open_loop(found: &FoundCycle) -> Option<String> {
+    let parts: Vec<String> = found
+        .strokes
+        .iter()
+        .filter_map(|stroke| {
+            let part = stroke.open_loop?;
+            let (seconds, percent) = (part.to_s - stroke.from_s, 100.0 * part.command);
+            Some(format!("{} (up to {percent:+.0} % for {seconds:.2} s)", stroke.name))
+        })
+        .collect();
+    (!parts.is_empty()).then(|| {
+        format!("open loop, on a command of their own before position control begins: {}", parts.join(", "))
+    })
 }
 
 pub(super) fn machine(adoption: &Adoption) {
