@@ -224,8 +224,8 @@ const PRIOR_NONE: f64 = 0.25;
 const PRIOR_SEAL: f64 = 0.25;
 const PRIOR_OTHER: f64 = 0.42;
 const PRIOR_PAIR: f64 = 0.08;
-/// Share of a seal that leaks less than at the baseline among changes of the seal: only a new one does.
-const SHARE_OF_LESS: f64 = 0.02;
+/// A seal that leaks less than at the baseline beside one that leaks more: only a new one does.
+const LESS_OVER_MORE: f64 = 0.02;
 
 impl Causes {
     /// Checks what training has made.
@@ -312,14 +312,10 @@ fn priors(kinds: &[Kind], cells: &[Cell]) -> Vec<[f64; 2]> {
     cells
         .iter()
         .map(|cell| {
-            let is_sibling = |other: &&Cell| {
-                cause_of(other) == cause_of(cell)
-                    && (!cell.is_seal || (other.size > 0.0) == (cell.size > 0.0))
-            };
-            let siblings = cells.iter().filter(is_sibling).count() as f64;
+            let siblings = cells.iter().filter(|other| cause_of(other) == cause_of(cell)).count() as f64;
             let [alone, beside] = match (cell.is_seal, cell.size > 0.0) {
-                (true, true) => [PRIOR_SEAL * (1.0 - SHARE_OF_LESS), 1.0],
-                (true, false) => [PRIOR_SEAL * SHARE_OF_LESS, SHARE_OF_LESS],
+                (true, true) => [PRIOR_SEAL, 1.0],
+                (true, false) => [LESS_OVER_MORE * PRIOR_SEAL, LESS_OVER_MORE],
                 (false, _) => [PRIOR_OTHER / count, PRIOR_PAIR / count],
             };
             [libm::log(alone / siblings), libm::log(beside / siblings)]
