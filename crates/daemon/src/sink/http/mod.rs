@@ -56,7 +56,7 @@ const EVENTS_BEHIND: usize = 64;
 /// Event streams at a time; the dashboard takes one for each window.
 const STREAMS: usize = 32;
 /// Longest body that is read, bytes: many times what an order can have.
-const LONGEST_BODY: usize = 64 << 10;
+const LONGEST_BODY: usize = 128 << 10;
 /// Time in which a request's body must be there.
 const WHOLE: Duration = Duration::from_secs(10);
 /// Shortest token that is taken.
