@@ -2,6 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 /// Puts a file in place whole: after a power cut there is the old one or the new one.
@@ -34,6 +35,12 @@ fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// The folder cannot be opened.
 pub(crate) fn sync_folder(of_file: &Path) -> io::Result<()> {
     of_file.parent().map_or(Ok(()), |folder| File::open(folder)?.sync_all())
+}
+
+/// Whether an open file is still the one at its path: somebody may have removed it, or its disk may have gone.
+pub(crate) fn is_in_place(file: &File, path: &Path) -> bool {
+    let facts = (file.metadata(), fs::symlink_metadata(path));
+    matches!(facts, (Ok(open), Ok(there)) if (open.dev(), open.ino()) == (there.dev(), there.ino()))
 }
 
 /// Moves a file that cannot be read out of the way; tells its new name.

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 use tokio::sync::watch;
 
-use crate::durable::{set_aside, write_durably};
+use crate::durable::{is_in_place, set_aside, write_durably};
 use crate::failure::{Code, Failure};
 use crate::hub::{Acknowledgement, HealthyCourse, TrendPoint};
 
@@ -216,7 +216,7 @@ impl Keeper {
     pub fn write(&self, folder: &Path, axes: BTreeMap<String, AxisState>) -> io::Result<()> {
         let mut lock = self.lock.lock().unwrap_or_else(PoisonError::into_inner);
         // A disk that has gone has taken the lock with it, and the one that comes in its place has none.
-        if !lock.as_ref().is_some_and(|lock| lock.is_of(folder)) {
+        if !lock.as_ref().is_some_and(|lock| is_in_place(&lock.0, &folder.join(LOCK_NAME))) {
             *lock = None;
             *lock = Some(FolderLock::take(folder)?);
         }
@@ -306,12 +306,6 @@ impl FolderLock {
         // The number is for people; on a full disk the lock holds without it.
         let _ = file.set_len(0).and_then(|()| writeln!(file, "{}", std::process::id()));
         Ok(FolderLock(file))
-    }
-
-    /// Whether it is the lock of what a folder is now.
-    fn is_of(&self, folder: &Path) -> bool {
-        let facts = (self.0.metadata(), fs::symlink_metadata(folder.join(LOCK_NAME)));
-        matches!(facts, (Ok(held), Ok(there)) if (held.dev(), held.ino()) == (there.dev(), there.ino()))
     }
 }
 

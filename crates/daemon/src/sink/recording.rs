@@ -10,7 +10,6 @@ mod shelf;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -22,6 +21,7 @@ use seepd_signals::{Sample, Signal};
 
 use super::mcap::{McapSink, schema};
 use crate::config::{Pace, RecordingConfig};
+use crate::durable::is_in_place;
 use crate::failure::Failure;
 use crate::hub::{Hub, Kind, Publication};
 use shelf::{MB, Shelf};
@@ -225,7 +225,8 @@ impl RecordingWriter {
     /// Closes the file where it is full or old, or the disk is.
     fn rotate(&mut self) -> io::Result<()> {
         let Some(file) = &self.file else { return Ok(()) };
-        if !file.is_in_place() {
+        // What is written into a file that has lost its name nobody finds.
+        if !is_in_place(&file.handle, &file.path) {
             let path = file.path.display();
             tracing::warn!("the recording {path} is no longer there; another one is begun");
             self.close()?;
@@ -351,12 +352,6 @@ impl TapeFile {
         self.handle.sync_data()?;
         self.holds_records |= self.buffered > 0;
         Ok(())
-    }
-
-    /// Whether it still has its name: what is written into a file that was removed, or whose disk has gone, nobody finds.
-    fn is_in_place(&self) -> bool {
-        let facts = (self.handle.metadata(), fs::symlink_metadata(&self.path));
-        matches!(facts, (Ok(own), Ok(there)) if (own.dev(), own.ino()) == (there.dev(), there.ino()))
     }
 
     fn bytes(&self) -> io::Result<u64> {
