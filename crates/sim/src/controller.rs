@@ -95,13 +95,7 @@ impl Controller {
 
     /// What the control law gave before the jump over the dead band.
     pub fn uncompensated(&self, command: f64) -> f64 {
-        let steep = self.dead_band_compensation / COMPENSATED_FROM;
-        let small = command / (1.0 + steep);
-        if small.abs() < COMPENSATED_FROM {
-            small
-        } else {
-            command - self.dead_band_compensation.copysign(command)
-        }
+        uncompensated(command, self.dead_band_compensation)
     }
 
     /// What it must have been asked for, m, tick by tick, to give those commands at those positions: the PID law solved for the error. What
@@ -123,6 +117,13 @@ impl Controller {
         };
         command.iter().zip(position_m).enumerate().map(of).collect()
     }
+}
+
+/// A command without the jump of that size over the dead band.
+fn uncompensated<T: Real>(command: T, jump: T) -> T {
+    let small = command / (T::splat(1.0) + jump / T::splat(COMPENSATED_FROM));
+    let with_sign = command.where_positive(jump, -jump);
+    (T::splat(COMPENSATED_FROM) - small.abs()).where_positive(small, command - with_sign)
 }
 
 /// The controller of one machine or of several in lanes.
@@ -209,17 +210,10 @@ impl<T: Real> Pid<T> {
     /// taking over is no jump.
     pub(crate) fn tracking(&self, before: &PidState<T>, command: T, position: T) -> PidState<T> {
         let moved = position - before.position;
-        let held = self.uncompensated(command) + (self.kd_per_period - self.feed_forward_per_period) * moved;
+        let held = uncompensated(command, self.dead_band_compensation)
+            + (self.kd_per_period - self.feed_forward_per_period) * moved;
         let integral = self.ki_period.where_positive(held, T::splat(0.0));
         PidState { integral, position, demand: position }
-    }
-
-    /// What the control law would have given before the jump over the dead band.
-    fn uncompensated(&self, command: T) -> T {
-        let steep = self.dead_band_compensation * T::splat(1.0 / COMPENSATED_FROM);
-        let small = command / (T::splat(1.0) + steep);
-        let with_sign = command.where_positive(self.dead_band_compensation, -self.dead_band_compensation);
-        (T::splat(COMPENSATED_FROM) - small.abs()).where_positive(small, command - with_sign)
     }
 
     /// What the compensation of the dead band adds.
