@@ -12,7 +12,7 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 
-use super::{random, sequences};
+use super::{STOOD_STILL_MS, random, sequences};
 use crate::daemon::{Daemon, axis_toml, can_frame, command_frame, cycle, free_port, json, until};
 
 /// The machine of the fixture leaks so much, m², and estimates of it may be off by a tenth.
@@ -23,8 +23,7 @@ const AXES: usize = 10;
 /// A cycle, ms, and the cycles from one stretch to the next: the disturbed one or two, and two whole ones.
 const CYCLE_MS: u64 = 10_000;
 const CYCLES_EACH: u64 = 4;
-/// A sender so late has stood still: half of the silence after which the daemon gives a cycle up. And the most cycles that it repeats.
-const STOOD_STILL_MS: u64 = 100;
+/// The most cycles of a block that is sent anew.
 const MOST_CYCLES: u64 = 16;
 /// Frames of errors, and frames that ask, as the kernel marks them.
 const ERROR: u32 = 0x2000_0000;

@@ -15,15 +15,13 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-use super::{random, sequences};
+use super::{STOOD_STILL_MS, random, sequences};
 use crate::daemon::{Daemon, axis_toml, command_frame, cycle, free_port, has, json, until};
 
 const SOON: Duration = Duration::from_secs(20);
 const SECOND_NS: i64 = 1_000_000_000;
 /// Samples of a cycle, one a millisecond.
 const CYCLE_MS: u64 = 10_000;
-/// A sender so late has stood still: half of the silence after which the daemon gives a cycle up.
-const STOOD_STILL_MS: u64 = 100;
 /// Places that a wall clock is set to, s since 1970: 1970, a leap second, the ends of 32 bits with and without a sign, 2038 less a second, 1901, 2262.
 const PLACES_S: [i64; 9] = [
     0,

@@ -13,6 +13,9 @@ mod patient;
 mod reloads;
 mod web;
 
+/// A sender so late, by its own clock, has stood still with its computer: half of the silence after which the daemon gives a cycle up.
+const STOOD_STILL_MS: u64 = 100;
+
 /// How many sequences to try: as many as SEEPD_SEQUENCES says, else so many.
 fn sequences(short: u32) -> u32 {
     std::env::var("SEEPD_SEQUENCES").ok().and_then(|text| text.parse().ok()).unwrap_or(short)
