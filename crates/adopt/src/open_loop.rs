@@ -115,10 +115,10 @@ pub fn with_open_loop(recording: &Recording, mut found: FoundCycle) -> FoundCycl
             continue;
         }
         let to_s = to as f64 * mean.tick_s;
-        if to_s >= found.strokes[index].to_s && !goes_on(&found, index, from as f64 * mean.tick_s) {
-            continue;
-        }
         if to_s >= found.strokes[index].to_s {
+            if !goes_on(&found, index, from as f64 * mean.tick_s) {
+                continue;
+            }
             found.join(index);
         }
         let command = mean.command[from..to]
