@@ -13,6 +13,7 @@ use crate::drive::{
     Asked, asked_by_command, asked_by_position, load_by_tick, load_corners, planned, speed_over_command,
 };
 use crate::duty_cycle::FoundCycle;
+use crate::flow_curve;
 use crate::machine_data::MachineData;
 use crate::open_loop::going_as_far;
 use crate::plant::{DataError, DescribedPlant, LoggedSize, Origin, PlantValue, describe};
@@ -40,6 +41,10 @@ const POSITION_ROOM: f64 = 0.02;
 const REMARKED_CHANGE: f64 = 0.1;
 /// A rest of the command, over its range, from which the demand that was found is remarked on.
 const POOR: f64 = 0.03;
+/// A command that is off by less than this share of its range says nothing of the flow curve, and a curve may leave at most this share of
+/// what a line does.
+const LEAST_BENT: f64 = 0.0015;
+const MUCH_NEARER: f64 = 0.7;
 /// A friction below this share of the largest force of the piston is left out.
 const LEAST_FRICTION: f64 = 0.01;
 /// A uniform distribution of this half width has the standard deviation of 1.
@@ -353,36 +358,87 @@ impl Adopter<'_> {
         }
     }
 
-    /// The machine as its calibration leaves it, with what its strokes work against where the log has no load.
+    /// The machine as its calibration leaves it: with what its strokes work against where the log has no load, and with the flow curve of its
+    /// valve where the data sheet does not say and a line stays far from the log.
     fn fitted_to_the_log(
         &mut self,
         spec: &MachineSpec,
         offset_m: f64,
         command: &[f64],
     ) -> Result<Fitted, AdoptionError> {
-        let mut fitted = self.fitted(spec, offset_m)?;
-        if let Some(found) = self.unknown_force(&fitted.spec, command) {
-            let mut loaded = fitted.spec.clone();
-            loaded.cycle.load = found.load;
-            let again = self.fitted(&loaded, offset_m)?;
-            // Forces that bring the whole cycle no nearer were none.
-            if command_gap(&again.calibration) < command_gap(&fitted.calibration) {
-                fitted = again;
-                self.remarks.push(format!(
-                    "the log has no load; {:.0} % of what the strokes' command had left is explained by {}",
-                    100.0 * (1.0 - found.left),
-                    found.words
-                ));
+        let mut best = self.with_unknown_force(self.fitted(spec, offset_m)?, offset_m, command)?;
+        if !self.described.knows_curve
+            && let Some(bent) = self.along_a_curve(spec, offset_m, &best)?
+        {
+            let bent = self.with_unknown_force(bent, offset_m, command)?;
+            if command_gap(&bent.calibration) < MUCH_NEARER * command_gap(&best.calibration) {
+                best = bent;
             }
         }
-        if !fitted.is_nearer {
+        self.remarks.append(&mut best.remarks);
+        if !best.is_nearer {
             self.remarks.push(
                 "the calibration did not bring the simulated command nearer to the log's, and is not used: check the machine data and the \
                  signals; `seepd gap` with the plant file may name what differs"
                     .into(),
             );
         }
-        Ok(fitted)
+        Ok(best)
+    }
+
+    /// The machine with what its strokes work against, where the log has no load and that brings the whole cycle nearer: forces that do not
+    /// were none.
+    fn with_unknown_force(
+        &self,
+        fitted: Fitted,
+        offset_m: f64,
+        command: &[f64],
+    ) -> Result<Fitted, AdoptionError> {
+        let Some(found) = self.unknown_force(&fitted.spec, command) else { return Ok(fitted) };
+        let mut loaded = fitted.spec.clone();
+        loaded.cycle.load = found.load;
+        let mut again = self.fitted(&loaded, offset_m)?;
+        if command_gap(&again.calibration) >= command_gap(&fitted.calibration) {
+            return Ok(fitted);
+        }
+        again.remarks = fitted.remarks;
+        again.remarks.push(format!(
+            "the log has no load; {:.0} % of what the strokes' command had left is explained by {}",
+            100.0 * (1.0 - found.left),
+            found.words
+        ));
+        Ok(again)
+    }
+
+    /// The machine with the flow curve that brings its command nearest to the log's, where a line stays further from it than its cycles from
+    /// one another.
+    fn along_a_curve(
+        &self,
+        spec: &MachineSpec,
+        offset_m: f64,
+        line: &Fitted,
+    ) -> Result<Option<Fitted>, AdoptionError> {
+        let of_line = command_gap(&line.calibration);
+        let floor = line.calibration.floor.get(Signal::Command.name()).copied().unwrap_or(0.0);
+        if of_line < LEAST_BENT.max(2.0 * floor) {
+            return Ok(None);
+        }
+        let mut best: Option<Fitted> = None;
+        for candidate in &flow_curve::CANDIDATES {
+            let mut bent = spec.clone();
+            bent.effects.insert(flow_curve::LAW.into(), candidate.start());
+            let fitted = self.fitted(&bent, offset_m)?;
+            let gap = command_gap(&fitted.calibration);
+            if fitted.is_nearer && best.as_ref().is_none_or(|best| gap < command_gap(&best.calibration)) {
+                best = Some(fitted);
+            }
+        }
+        Ok(best.map(|mut bent| {
+            let words = bent.spec.effects.get(flow_curve::LAW).map(flow_curve::words).unwrap_or_default();
+            bent.remarks
+                .push(format!("the strokes show that the valve's flow is no line over the command: {words}"));
+            bent
+        }))
     }
 
     /// The machine with what its calibration found, where that brings the command nearer to the log's.
@@ -398,7 +454,7 @@ impl Adopter<'_> {
         } else {
             (spec.clone(), Vec::new())
         };
-        Ok(Fitted { spec, values, calibration, together, is_nearer })
+        Ok(Fitted { spec, values, calibration, together, is_nearer, remarks: Vec::new() })
     }
 
     /// What the strokes work against, where the log has no load.
@@ -433,9 +489,14 @@ impl Adopter<'_> {
         if spec.effects.contains_key("valve_deadband") || !self.described.knows_overlap {
             effects.push("valve_deadband".to_owned());
         }
+        effects.extend(self.free_of_curve(&spec).into_iter().map(|(key, ..)| key));
         let known = self.known_beforehand(&spec);
         let settings = CalibrationSettings { iterations: ITERATIONS, wear: false, effects, known };
         Ok(calibrate(&record, &spec, &settings))
+    }
+
+    fn free_of_curve(&self, spec: &MachineSpec) -> Vec<(String, f64, f64)> {
+        spec.effects.get(flow_curve::LAW).map(flow_curve::free).unwrap_or_default()
     }
 
     /// Standard deviations of what the data sheet and every machine's parts tell before the log does.
@@ -458,7 +519,9 @@ impl Adopter<'_> {
         let is_read_off = self.recording.log.get(Signal::Load).is_none();
         let of_load = is_read_off.then(|| ("load_scale".to_owned(), Known { value: 1.0, sigma: READ_OFF }));
         let of_parts = of_parts.map(|(key, value, sigma)| (key, Known { value, sigma }));
-        of_data_sheet.chain(of_parts).chain(of_load).collect()
+        let of_curve = self.free_of_curve(spec).into_iter();
+        let of_curve = of_curve.map(|(key, value, sigma)| (key, Known { value, sigma }));
+        of_data_sheet.chain(of_parts).chain(of_load).chain(of_curve).collect()
     }
 
     /// The recorded cycles one after the other, each stroke in its planned place, under the plan's demand and load.
@@ -524,6 +587,8 @@ struct Fitted {
     together: Vec<Direction>,
     /// Whether the calibrated simulation is nearer to the log than the data sheet's; where not, the data sheet stands.
     is_nearer: bool,
+    /// What it took beside its parameters, one line each.
+    remarks: Vec<String>,
 }
 
 /// How far the calibrated simulation's command is from the log's on held-out cycles, over its range.

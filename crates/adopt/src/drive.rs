@@ -8,6 +8,7 @@
 use seepd_gap::SimulatedAxis;
 use seepd_sim::batch::follow;
 use seepd_sim::cycle::{DriveSample, LoadCorner, Move, OpenLoop, OpenLoopTick, load_at};
+use seepd_sim::opening::SteadyOpening;
 use seepd_sim::{DutyCycle, MachineSpec};
 
 use crate::duty_cycle::FoundCycle;
@@ -104,7 +105,7 @@ struct Inverse<'c> {
     speeds: Vec<[f64; 2]>,
     /// Command at which the machine stands.
     null: f64,
-    half_width: f64,
+    opening: SteadyOpening,
     tick_s: f64,
 }
 
@@ -124,9 +125,8 @@ impl<'c> Inverse<'c> {
                 [speed(out), speed(back)]
             })
             .collect();
-        let half_width = seepd_sim::series::deadband(spec);
-        let mut inverse =
-            Inverse { command, speeds, null: 0.0, half_width, tick_s: spec.controller.period_s };
+        let opening = SteadyOpening::of(spec);
+        let mut inverse = Inverse { command, speeds, null: 0.0, opening, tick_s: spec.controller.period_s };
         // The piston comes back: the null is where the ways out and back are the same.
         let (mut low, mut high) = (-0.3, 0.3);
         for _ in 0..50 {
@@ -142,8 +142,7 @@ impl<'c> Inverse<'c> {
 
     fn speed(&self, tick: usize) -> f64 {
         let u = self.command[tick] - self.null;
-        let open = (u.abs() - self.half_width).max(0.0).copysign(u);
-        open * self.speeds[tick][usize::from(u < 0.0)]
+        self.opening.at(u) * self.speeds[tick][usize::from(u < 0.0)]
     }
 
     fn speed_sum(&self) -> f64 {

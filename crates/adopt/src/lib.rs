@@ -4,6 +4,7 @@ pub mod adoption;
 pub mod controller;
 pub mod drive;
 pub mod duty_cycle;
+mod flow_curve;
 pub mod machine_data;
 pub mod open_loop;
 pub mod plant;
@@ -11,4 +12,6 @@ pub mod process_force;
 pub mod recording;
 pub mod signals;
 pub mod strokes;
+#[cfg(test)]
+mod test_recordings;
 pub mod training;

@@ -114,6 +114,27 @@ pub struct ValveData {
     /// Overlap: half the width of the dead band, % of full command.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub overlap_percent: Option<Datum>,
+    /// How the flow grows with the command.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub curve: Option<FlowCurve>,
+    /// Command at the knee of a curve of double gain, % of full command.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub knee_percent: Option<f64>,
+    /// Flow at that knee, or at half of full command of a progressive curve, % of the rated flow.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub flow_at_knee_percent: Option<f64>,
+}
+
+/// Flow over command, as data sheets of servo and proportional valves draw it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FlowCurve {
+    /// A line.
+    Linear,
+    /// Fine in the middle, and steeper the further the spool goes.
+    Progressive,
+    /// Two lines: fine up to a knee.
+    DoubleGain,
 }
 
 /// Where a valve's rated pressure drop is measured.

@@ -201,27 +201,13 @@ fn planned_over_simulated(spec: &MachineSpec) -> Option<Vec<f64>> {
 
 #[cfg(test)]
 mod tests {
-    use seepd_gap::Log;
     use seepd_sim::cycle::{CycleRun, OpenLoop};
-    use seepd_sim::noise::Noise;
 
     use super::*;
     use crate::controller::fit_gains;
     use crate::drive::planned;
     use crate::duty_cycle::find_duty_cycle;
-
-    const CYCLES: usize = 8;
-    const TICKS_OF_CYCLE: usize = 10_000;
-    const TICK_S: f64 = 1e-3;
-
-    /// The nominal press in steps as short as it needs.
-    fn press() -> MachineSpec {
-        let mut spec = MachineSpec::default();
-        spec.plant.inlet_volume_m3 *= 4.0;
-        spec.controller.steps_per_period = 4;
-        spec.cycle.load.clear();
-        spec
-    }
+    use crate::test_recordings::{TICK_S, TICKS_OF_CYCLE, press, recorded};
 
     /// Whose `retract`, from 6.0 to 8.5 s, begins open loop until then, with a command that is over a little before.
     fn begun_open_loop(to_s: f64) -> MachineSpec {
@@ -241,24 +227,6 @@ mod tests {
         spec.cycle.moves[2].course = course.collect();
         spec.check().unwrap();
         spec
-    }
-
-    fn recorded(spec: &MachineSpec) -> Recording {
-        let machine = Machine::<f64>::new(&[spec]);
-        let mut state = machine.start();
-        let mut noise = Noise::new(5, 1);
-        let mut log = Log::default();
-        let drive = Schedule::new(&spec.cycle, TICK_S, Vec::new());
-        for sample in drive.take((CYCLES + 1) * TICKS_OF_CYCLE) {
-            let signals = machine.tick(&mut state, &Input::gather(&[sample]));
-            log.values[Signal::Command as usize].push(signals.command + noise.normal(1e-3));
-            log.values[Signal::Demand as usize].push(signals.demand);
-            log.values[Signal::Position as usize].push(signals.position + noise.normal(1e-5));
-        }
-        for values in &mut log.values {
-            values.drain(..TICKS_OF_CYCLE.min(values.len()));
-        }
-        Recording { rate_hz: 1000.0, log, beyond: 0 }
     }
 
     /// The command of a plan's second cycle.

@@ -6,6 +6,7 @@ use seepd_sim::MachineSpec;
 use seepd_sim::oil;
 use serde::Serialize;
 
+use crate::flow_curve;
 use crate::machine_data::{ControllerKind, Datum, MachineData, Orientation, RatedOver};
 
 /// Pascals in a bar.
@@ -97,6 +98,8 @@ pub struct DescribedPlant {
     pub values: BTreeMap<&'static str, PlantValue>,
     /// Whether the user said how far the valve's lands overlap.
     pub knows_overlap: bool,
+    /// Whether the user said how the valve's flow grows with the command.
+    pub knows_curve: bool,
     /// Weight of the moved mass, N, positive in the extending direction.
     pub weight_n: f64,
     /// Whether the user gave the controller's gains.
@@ -208,6 +211,7 @@ pub fn describe(data: &MachineData, logged: &LoggedSize) -> Result<DescribedPlan
         spec: describer.spec,
         values: describer.values,
         knows_overlap: data.valve.overlap_percent.is_some(),
+        knows_curve: data.valve.curve.is_some(),
         weight_n,
         has_gains: c.kp_per_m.is_some(),
         integrates: c.kind.map(|kind| kind != ControllerKind::P).or(c.ki_per_m_s.map(|ki| ki.value() > 0.0)),
@@ -246,6 +250,7 @@ fn check(data: &MachineData) -> Result<(), DataError> {
             0.0,
             50.0,
         ),
+        ("valve.knee_percent", data.valve.knee_percent, 5.0, 70.0),
         ("controller.ki_per_m_s", data.controller.ki_per_m_s.map(Datum::value), 0.0, 1e6),
         ("controller.kd_s_per_m", data.controller.kd_s_per_m.map(Datum::value), 0.0, 1e6),
         (
@@ -262,6 +267,12 @@ fn check(data: &MachineData) -> Result<(), DataError> {
         if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
             return Err(DataError::Outside { key, value, low, high });
         }
+    }
+    if let (Some(percent), Some([low, high])) =
+        (data.valve.flow_at_knee_percent, flow_curve::possible_flow_percent(&data.valve))
+        && !(low..=high).contains(&percent)
+    {
+        return Err(DataError::Outside { key: "valve.flow_at_knee_percent", value: percent, low, high });
     }
     if let (Some(rod), Some(bore)) = (data.cylinder.rod_mm, data.cylinder.bore_mm)
         && rod.value() >= bore.value()
@@ -401,6 +412,9 @@ impl Describer {
                 .entry("valve_deadband".into())
                 .or_default()
                 .insert("half_width".into(), half_width);
+        }
+        if let Some(curve) = flow_curve::stated(valve).filter(|curve| !curve.is_empty()) {
+            self.spec.effects.insert(flow_curve::LAW.into(), curve);
         }
     }
 

@@ -37,7 +37,7 @@ pub struct CalibrationSettings {
     pub iterations: usize,
     /// Whether wear is fitted; without, it stays as the machine has it.
     pub wear: bool,
-    /// Keys of effects that the machine is given.
+    /// Effects, and laws of parts, that the machine is given: by key, or a single parameter by `effect.parameter`.
     pub effects: Vec<String>,
     /// What is known beforehand by key, of an effect's parameter by `effect.parameter`. What is not here is known as [`SimulatedAxis`]
     /// says; an effect's not at all.
@@ -67,9 +67,13 @@ pub fn calibrate<A: SimulatedAxis>(
     let is_wear = |free: &Free| matches!(&free.target, Target::Plant(parameter) if Some(&parameter.key) == wear.as_ref());
     let mut free = free_parameters(spec);
     free.retain(|free| (settings.wear || !is_wear(free)) && !free.is_hardly_told());
-    let wanted =
-        spec.catalogue().into_iter().filter(|effect| settings.effects.iter().any(|key| key == effect.key));
-    free.extend(wanted.flat_map(|effect| of_effect(effect, spec)));
+    let known_laws = spec.catalogue().into_iter().chain(spec.laws_of_parts());
+    free.extend(known_laws.flat_map(|effect| {
+        let mut parameters = of_effect(effect, spec);
+        let is_wanted = |key: &str| settings.effects.iter().any(|wanted| wanted == key);
+        parameters.retain(|parameter| is_wanted(effect.key) || is_wanted(&parameter.key()));
+        parameters
+    }));
     for parameter in &mut free {
         if let Some(known) = settings.known.get(&parameter.key()) {
             parameter.know(known);

@@ -67,6 +67,10 @@ impl SimulatedAxis for MachineSpec {
         effects::ALL.iter().map(|effect| effect.info()).filter(can_be).collect()
     }
 
+    fn laws_of_parts(&self) -> Vec<&'static EffectInfo> {
+        effects::OF_DATA_SHEETS.iter().map(|law| law.info()).collect()
+    }
+
     fn learnable(&self) -> &'static [&'static LearnedLaw] {
         if self.is_open_loop() { learned::of_open_loop() } else { &learned::ALL }
     }

@@ -50,6 +50,10 @@ pub trait SimulatedAxis: Clone + Send + Sync {
     const IS_DEAR: bool = false;
     /// Effects that can be added to it.
     fn catalogue(&self) -> Vec<&'static EffectInfo>;
+    /// Laws of its parts as data sheets have them: a calibration may fit them, a diagnosis does not add them.
+    fn laws_of_parts(&self) -> Vec<&'static EffectInfo> {
+        Vec::new()
+    }
     /// Laws without a name that can be learned where none of these explains a log.
     fn learnable(&self) -> &'static [&'static LearnedLaw] {
         &[]

@@ -10,6 +10,7 @@ pub mod learned;
 pub mod machine;
 pub mod noise;
 pub mod oil;
+pub mod opening;
 pub mod plant;
 pub mod ports;
 pub mod real;

@@ -84,7 +84,7 @@ fn move_along(spec: &mut MachineSpec, direction: &Direction, by: f64) {
             *value *= libm::exp(by * change);
         }
     }
-    for effect in effects::ALL {
+    for effect in effects::every() {
         let (Some(values), Some(changes)) =
             (spec.effects.get_mut(effect.key()), direction.effects.get(effect.key()))
         else {

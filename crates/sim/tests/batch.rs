@@ -21,7 +21,7 @@ fn jobs(count: usize) -> Vec<Job> {
                     *value *= noise.factor(0.05);
                 }
             }
-            for effect in effects::ALL {
+            for effect in effects::ALL.iter().chain(effects::OF_DATA_SHEETS) {
                 // Lanes with and without each effect stand side by side.
                 if noise.uniform(0.0, 1.0) < 0.3 {
                     for parameter in effect.parameters() {

@@ -30,11 +30,16 @@ fn cycle(spec: &MachineSpec) -> Vec<[f64; 2]> {
         .collect()
 }
 
+/// The catalogue's laws and those of data sheets.
+fn laws() -> impl Iterator<Item = &'static dyn Effect> {
+    effects::ALL.iter().chain(effects::OF_DATA_SHEETS).copied()
+}
+
 #[test]
 fn property_catalogue_is_complete_and_documented() {
-    let keys: BTreeSet<&str> = effects::ALL.iter().map(|effect| effect.key()).collect();
-    assert_eq!(keys.len(), effects::ALL.len(), "keys are unique");
-    for effect in effects::ALL {
+    let keys: BTreeSet<&str> = laws().map(|effect| effect.key()).collect();
+    assert_eq!(keys.len(), laws().count(), "keys are unique");
+    for effect in laws() {
         assert!(effect.key().chars().all(|c| c.is_ascii_lowercase() || c == '_'));
         assert!(effect.info().law.len() > 10 && effect.info().signature.len() > 20, "{}", effect.key());
         for parameter in effect.parameters() {
@@ -53,9 +58,9 @@ fn property_catalogue_is_complete_and_documented() {
 #[test]
 fn neutral_values_leave_every_bit() {
     let nominal = cycle(&MachineSpec::default());
-    for effect in effects::ALL {
+    for effect in laws() {
         let neutral: Vec<f64> = effect.parameters().iter().map(|parameter| parameter.neutral).collect();
-        let same = cycle(&with(*effect, &neutral));
+        let same = cycle(&with(effect, &neutral));
         let bits =
             |cycle: &[[f64; 2]]| cycle.iter().flatten().map(|value| value.to_bits()).collect::<Vec<_>>();
         assert_eq!(bits(&nominal), bits(&same), "{}", effect.key());
@@ -66,10 +71,10 @@ fn neutral_values_leave_every_bit() {
 #[test]
 fn neutral_lane_beside_an_acting_one_leaves_every_bit() {
     let nominal = cycle(&MachineSpec::default());
-    for effect in effects::ALL {
+    for effect in laws() {
         let strong: Vec<f64> =
             effect.parameters().iter().map(|p| p.range.0 + 0.5 * (p.range.1 - p.range.0)).collect();
-        let jobs = [with(*effect, &strong), MachineSpec::default()].map(|spec| Job {
+        let jobs = [with(effect, &strong), MachineSpec::default()].map(|spec| Job {
             spec,
             runs: vec![CycleRun::with_leak(1e-6)],
             start_tick: 0,

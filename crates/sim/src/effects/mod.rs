@@ -36,6 +36,7 @@ mod structure_compliance;
 mod turbulent_leak;
 mod valve_asymmetry;
 mod valve_bias;
+mod valve_curve;
 mod valve_deadband;
 mod valve_flow_shape;
 mod valve_hysteresis;
@@ -43,7 +44,9 @@ mod valve_lag;
 mod valve_rate_limit;
 mod valve_wear;
 
+pub(crate) use valve_curve::ValveCurve;
 pub(crate) use valve_deadband::ValveDeadband;
+pub(crate) use valve_flow_shape::ValveFlowShape;
 
 use crate::controller::Pid;
 use crate::learned;
@@ -60,7 +63,7 @@ pub const ALL: &[&dyn Effect] = &[
     &valve_lag::ValveLag,
     &valve_bias::ValveBias,
     &ValveDeadband,
-    &valve_flow_shape::ValveFlowShape,
+    &ValveFlowShape,
     &valve_asymmetry::ValveAsymmetry,
     &valve_wear::ValveWear,
     &cushioning::Cushioning,
@@ -87,9 +90,13 @@ pub const ALL: &[&dyn Effect] = &[
     &controller_clock::ControllerClock,
 ];
 
-/// Every law that a plant file may have: the catalogue's, in their order, then those that were learned from a log.
+/// Laws of parts as they are bought: a plant file may have them and a calibration fit them; what has changed on a machine is none of them.
+pub const OF_DATA_SHEETS: &[&dyn Effect] = &[&ValveCurve];
+
+/// Every law that a plant file may have: the catalogue's, in their order, then those of data sheets and those that were learned from a log.
 pub fn every() -> impl Iterator<Item = &'static dyn Effect> {
-    ALL.iter().copied().chain(learned::ALL.iter().map(|law| *law as &dyn Effect))
+    let learned = learned::ALL.iter().map(|law| *law as &dyn Effect);
+    ALL.iter().chain(OF_DATA_SHEETS).copied().chain(learned)
 }
 
 /// The effect of that key, if the catalogue has it.
@@ -106,26 +113,36 @@ pub fn reference() -> String {
          octaves. Written by `seepd simulate --list-effects`.\n",
     );
     for effect in ALL {
-        let info = effect.info();
+        text += &entry(effect.info());
+    }
+    text += "\n# Laws of data sheets\n\nParts as they are bought. A plant file has them like effects, and `seepd adopt` fits them; a diagnosis \
+         does not take them for what has changed.\n";
+    for effect in OF_DATA_SHEETS {
+        text += &entry(effect.info());
+    }
+    text
+}
+
+/// A law's section of the reference.
+fn entry(info: &EffectInfo) -> String {
+    let mut text = format!(
+        "\n## {}\n\nLaw: {}.\n\nSeen: {}. First disturbs: {}.\n\n| parameter | unit | neutral | range | source |\n|---|---|---|---|---|\n",
+        info.key,
+        info.law,
+        info.signature,
+        info.equation.name()
+    );
+    for parameter in info.parameters {
+        let (low, high) = parameter.range;
         text += &format!(
-            "\n## {}\n\nLaw: {}.\n\nSeen: {}. First disturbs: {}.\n\n| parameter | unit | neutral | range | source |\n|---|---|---|---|---|\n",
-            info.key,
-            info.law,
-            info.signature,
-            info.equation.name()
+            "| `{}` | {} | {} | {} … {} | {} |\n",
+            parameter.name,
+            parameter.unit,
+            number(parameter.neutral),
+            number(low),
+            number(high),
+            parameter.source
         );
-        for parameter in info.parameters {
-            let (low, high) = parameter.range;
-            text += &format!(
-                "| `{}` | {} | {} | {} … {} | {} |\n",
-                parameter.name,
-                parameter.unit,
-                number(parameter.neutral),
-                number(low),
-                number(high),
-                parameter.source
-            );
-        }
     }
     text
 }

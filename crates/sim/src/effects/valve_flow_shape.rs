@@ -4,7 +4,7 @@ use super::{Effect, EffectInfo, Equation, Law, Parameter, Substep, built_by};
 use crate::real::Real;
 
 /// See the [module](self).
-pub(super) struct ValveFlowShape;
+pub(crate) struct ValveFlowShape;
 
 /// Exponent of the opening.
 struct Shape<T> {

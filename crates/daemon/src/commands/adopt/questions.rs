@@ -2,7 +2,7 @@
 
 use std::io::{self, BufRead, IsTerminal, Write};
 
-use seepd_adopt::machine_data::{Datum, MachineData, Orientation};
+use seepd_adopt::machine_data::{Datum, FlowCurve, MachineData, Orientation};
 use seepd_adopt::signals::{Assigned, Question, SignalProposal};
 use seepd_logs::columns::Columns;
 
@@ -117,6 +117,13 @@ pub(super) fn machine() -> Result<MachineData, Failure> {
         "Pressure drop of that rating over both lands, bar (70 for servo, 10 for proportional valves)",
     )?
     .map(Datum::value);
+    let curve = line("Is its flow over the command a line (l), progressive (p), or fine up to a knee (k)? ")?;
+    data.valve.curve = match curve.unwrap_or_default().to_lowercase().as_str() {
+        "l" | "line" | "linear" => Some(FlowCurve::Linear),
+        "p" | "progressive" => Some(FlowCurve::Progressive),
+        "k" | "knee" => Some(FlowCurve::DoubleGain),
+        _ => None,
+    };
     data.supply.pump_flow_lpm = number("Flow of the pump, L/min")?;
     data.supply.relief_bar = number("Pressure of the relief valve or the regulated pump, bar (usual: 160)")?;
     data.controller.task_period_ms = number("Period of the controller's task, ms (usual: 1)")?;
