@@ -36,8 +36,8 @@ const RESPONSE_ERROR: f64 = 0.2;
 /// well.
 const ALIKE_FROM: f64 = 0.9;
 /// Least share of simulated cycles that must be recognised: of the machines that calibration leaves possible some do not follow their
-/// cycle, as this one does.
-const LEAST_RECOGNISED: f64 = 0.8;
+/// cycle, as this one does, and are none of its kind.
+const LEAST_RECOGNISED: f64 = 0.5;
 /// Machines that are drawn to see how many steps they need.
 const TRIED_FOR_STEPS: usize = 200;
 /// Largest variation of the period: the anchors' tolerance.
