@@ -255,13 +255,14 @@ fn at(values: &[f64], place: f64) -> Option<f64> {
     Some(from + (to - from) * share).filter(|value| value.is_finite())
 }
 
-/// Finds the duty cycle of a recording.
+/// Finds the duty cycle of a recording. `overlap` is half the width of the valve's dead band as far as it is known, share of full command; it
+/// counts where the command alone has to tell the strokes.
 ///
 /// # Errors
 /// [`DutyCycleError`] where nothing repeats.
-pub fn find_duty_cycle(recording: &Recording) -> Result<FoundCycle, DutyCycleError> {
+pub fn find_duty_cycle(recording: &Recording, overlap: f64) -> Result<FoundCycle, DutyCycleError> {
     let guide = Guide::of(recording).ok_or(DutyCycleError::NoCommand)?;
-    let found = find(recording, guide);
+    let found = find(recording, guide, overlap);
     let of = |found: &Strokes| {
         Row::of(found, guide)?.rotated(found, recording.rate_hz).cycle(recording, found, guide)
     };
@@ -462,4 +463,38 @@ fn names(extends: &[bool]) -> Vec<String> {
             if count(*extend) == 1 { name.to_owned() } else { format!("{name}_{number}") }
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_recordings::{press, recorded};
+
+    /// With an overlap the command of a hold is anywhere within the dead band, on the side from which the piston came: no level is a rest,
+    /// and a stroke is what the command opens beyond the overlap.
+    #[test]
+    fn a_command_alone_over_a_dead_band_tells_the_strokes() {
+        for jump in [0.0, 0.09] {
+            let mut spec = press();
+            spec.set_effect("valve_deadband.half_width=0.1").unwrap();
+            (spec.controller.ki, spec.controller.dead_band_compensation) = (0.0, jump);
+            let mut recording = recorded(&spec);
+            for signal in [Signal::Demand, Signal::Position] {
+                recording.log.values[signal as usize].clear();
+            }
+            let found = find_duty_cycle(&recording, 0.1).unwrap();
+            let planned: Vec<(bool, f64)> = spec
+                .cycle
+                .moves_from()
+                .map(|(from_m, stroke)| (stroke.to_m > from_m, stroke.to_s - stroke.from_s))
+                .collect();
+            assert_eq!(found.strokes.len(), planned.len(), "{:?}", found.strokes);
+            // The cycle begins after the longest hold, as the plan does.
+            for (stroke, (extends, lasts_s)) in found.strokes.iter().zip(planned) {
+                let found_s = stroke.to_s - stroke.from_s;
+                assert!((stroke.way > 0.0) == extends, "{:?}", found.strokes);
+                assert!(found_s < 1.15 * lasts_s && found_s > 0.6 * lasts_s, "{found_s} {lasts_s}");
+            }
+        }
+    }
 }

@@ -109,7 +109,7 @@ mod tests {
 
     fn adopted(truth: &MachineSpec, data: &str) -> Adoption {
         let recording = recorded(truth);
-        let found = find_duty_cycle(&recording).unwrap();
+        let found = find_duty_cycle(&recording, 0.0).unwrap();
         adopt(&recording, &found, &MachineData::from_toml(data).unwrap()).unwrap()
     }
 

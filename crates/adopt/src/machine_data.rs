@@ -22,6 +22,15 @@ pub struct MachineData {
     pub controller: ControllerData,
 }
 
+impl MachineData {
+    /// Half the width of the valve's dead band, share of full command, as far as it is known: who has the controller step over a dead band
+    /// has one, of about that width.
+    pub fn overlap(&self) -> Option<f64> {
+        let percent = self.valve.overlap_percent.or(self.controller.dead_band_compensation_percent)?;
+        Some(percent.value() / 100.0)
+    }
+}
+
 /// A number off a data sheet: bare, or with how far it may be off.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]

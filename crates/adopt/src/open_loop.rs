@@ -247,7 +247,7 @@ mod tests {
         for to_s in [6.8, 7.2] {
             let truth = begun_open_loop(to_s);
             let recording = recorded(&truth);
-            let found = find_duty_cycle(&recording).unwrap();
+            let found = find_duty_cycle(&recording, 0.0).unwrap();
             assert_eq!(found.strokes.len(), 3, "{:?}", found.strokes);
             let parts: Vec<_> = found.strokes.iter().map(|stroke| stroke.open_loop).collect();
             let retract = found.strokes.iter().position(|stroke| stroke.way < 0.0).unwrap();
@@ -321,7 +321,7 @@ mod tests {
             let mut spec = press();
             spec.controller.kp = 30.0;
             spec.controller.velocity_feed_forward_s_per_m = feed_forward;
-            let found = find_duty_cycle(&recorded(&spec)).unwrap();
+            let found = find_duty_cycle(&recorded(&spec), 0.0).unwrap();
             assert!(found.strokes.iter().all(|stroke| stroke.open_loop.is_none()), "{:?}", found.strokes);
         }
     }

@@ -395,10 +395,7 @@ impl Describer {
                 self.usual(key, scale * nominal.valve_m3_per_s_sqrt_pa);
             }
         }
-        let share = |percent: Option<Datum>| percent.map(|percent| percent.value() / 100.0);
-        // Who has the controller step over a dead band has one, of about that width.
-        let overlap = share(valve.overlap_percent).or(share(data.controller.dead_band_compensation_percent));
-        if let Some(overlap) = overlap.filter(|half| *half > 0.0) {
+        if let Some(overlap) = data.overlap().filter(|half| *half > 0.0) {
             if overlap > WIDEST_OVERLAP {
                 self.remarks.push(format!(
                     "an overlap of {:.0} % is beyond the plant's widest dead band; {:.0} % is taken",

@@ -105,11 +105,16 @@ const QUIET: f64 = 0.25;
 /// Longest window of the smoothing, s.
 const LONGEST_WINDOW_S: f64 = 1.0;
 
-/// Finds the strokes of a recording.
-pub fn find(recording: &Recording, guide: Guide) -> Strokes {
+/// Finds the strokes of a recording. `overlap` is half the width of the valve's dead band as far as it is known, share of full command: a
+/// command within it moves nothing.
+pub fn find(recording: &Recording, guide: Guide, overlap: f64) -> Strokes {
     let values = recording.log.get(guide.signal()).unwrap_or_default();
     if guide == Guide::Command {
-        of_command(recording, values)
+        if overlap > 0.0 {
+            of_opening(recording, &opened(values, overlap), 0.0)
+        } else {
+            of_opening(recording, values, rest_of(values))
+        }
     } else {
         of_position(recording, values, guide)
     }
@@ -145,8 +150,15 @@ fn of_position(recording: &Recording, values: &[f64], guide: Guide) -> Strokes {
     kept(strokes, range(values), 0.0)
 }
 
-fn of_command(recording: &Recording, values: &[f64]) -> Strokes {
-    let rest = rest_of(values);
+/// What the command opens beyond the overlap of the valve's lands. Holds stand on either side of it, so that no level is the rest.
+fn opened(values: &[f64], overlap: f64) -> Vec<f64> {
+    values
+        .iter()
+        .map(|u| if u.is_finite() { (u.abs() - overlap).max(0.0).copysign(*u) } else { *u })
+        .collect()
+}
+
+fn of_opening(recording: &Recording, values: &[f64], rest: f64) -> Strokes {
     let noise = noise_of(values);
     let mut window = ((0.01 * recording.rate_hz) as usize).max(1);
     let fastest = quantile(values.iter().map(|value| (value - rest).abs()), 0.98);

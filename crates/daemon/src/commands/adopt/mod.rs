@@ -226,7 +226,7 @@ fn describe(
     machine: &MachineData,
 ) -> Result<Described, Failure> {
     let recording = record_of(arguments, &config.log_mapping())?;
-    let found = find_duty_cycle(&recording)
+    let found = find_duty_cycle(&recording, machine.overlap().unwrap_or(0.0))
         .map_err(|error| Failure::data(format!("{error}. {}", told::WITHOUT_A_CYCLE)))?;
     told::cycle(&recording, &found);
     let mut adoption = adopt(&recording, &found, machine).map_err(|error| failure(&error))?;
