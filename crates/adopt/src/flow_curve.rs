@@ -128,9 +128,10 @@ mod tests {
             "{:?}",
             adoption.remarks
         );
-        assert!(adopted(&press(), DATA).spec.effects.get(LAW).is_none());
+        assert!(!adopted(&press(), DATA).spec.effects.contains_key(LAW));
         // A data sheet that says it is a line is believed.
-        assert!(adopted(&truth, &format!("{DATA}curve = \"linear\"\n")).spec.effects.get(LAW).is_none());
+        let said = format!("{DATA}curve = \"linear\"\n");
+        assert!(!adopted(&truth, &said).spec.effects.contains_key(LAW));
     }
 
     #[test]
