@@ -44,7 +44,7 @@ fn impossible_values_are_answered_with_key_and_bound() {
         "line 2: `plant.inlet_volume_m3` is -0.0004; it must be positive, in m3"
     );
     assert!(refusal("[plant]\nmass_kg = nan\n").contains("`plant.mass_kg` is NaN"));
-    assert!(refusal("[effects.valve_deadband]\nhalf_width = 0.5\n").contains("it must lie in 0 … 0.15"));
+    assert!(refusal("[effects.valve_deadband]\nhalf_width = 0.5\n").contains("it must lie in 0 … 0.25"));
     assert!(refusal("[cycle]\nmoves = []\n").contains("no duty cycle"));
     assert!(
         refusal("[[cycle.moves]]\nname = \"a\"\nfrom_s = 3.0\nto_s = 2.0\nto_m = 0.1\n")
