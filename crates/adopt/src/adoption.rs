@@ -489,14 +489,10 @@ impl Adopter<'_> {
         if spec.effects.contains_key("valve_deadband") || !self.described.knows_overlap {
             effects.push("valve_deadband".to_owned());
         }
-        effects.extend(self.free_of_curve(&spec).into_iter().map(|(key, ..)| key));
+        effects.extend(flow_curve::free(&spec).into_keys());
         let known = self.known_beforehand(&spec);
         let settings = CalibrationSettings { iterations: ITERATIONS, wear: false, effects, known };
         Ok(calibrate(&record, &spec, &settings))
-    }
-
-    fn free_of_curve(&self, spec: &MachineSpec) -> Vec<(String, f64, f64)> {
-        spec.effects.get(flow_curve::LAW).map(flow_curve::free).unwrap_or_default()
     }
 
     /// Standard deviations of what the data sheet and every machine's parts tell before the log does.
@@ -519,9 +515,7 @@ impl Adopter<'_> {
         let is_read_off = self.recording.log.get(Signal::Load).is_none();
         let of_load = is_read_off.then(|| ("load_scale".to_owned(), Known { value: 1.0, sigma: READ_OFF }));
         let of_parts = of_parts.map(|(key, value, sigma)| (key, Known { value, sigma }));
-        let of_curve = self.free_of_curve(spec).into_iter();
-        let of_curve = of_curve.map(|(key, value, sigma)| (key, Known { value, sigma }));
-        of_data_sheet.chain(of_parts).chain(of_load).chain(of_curve).collect()
+        of_data_sheet.chain(of_parts).chain(of_load).chain(flow_curve::free(spec)).collect()
     }
 
     /// The recorded cycles one after the other, each stroke in its planned place, under the plan's demand and load.

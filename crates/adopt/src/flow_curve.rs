@@ -5,6 +5,9 @@
 
 use std::collections::BTreeMap;
 
+use seepd_gap::Known;
+use seepd_sim::{MachineSpec, effects};
+
 use crate::machine_data::{FlowCurve, ValveData};
 
 /// The law of the plant.
@@ -16,8 +19,6 @@ const CURVATURE: &str = "curvature";
 /// Where a data sheet gives no number: the slope at the null of a progressive curve, and knee and flow there of a double gain.
 const USUAL_SLOPE: f64 = 0.75;
 const USUAL_KNEE: (f64, f64) = (0.4, 0.2);
-/// Slopes at the null over a line's that the law has.
-const POSSIBLE_SLOPES: [f64; 2] = [0.2, 1.3];
 
 /// A curve that is fitted to a log: the values at which the fit begins, and which of them are free, each with a standard deviation of what
 /// valves have.
@@ -43,11 +44,14 @@ impl Candidate {
     }
 }
 
-/// What a fit may change of a machine's curve: key, value now, and standard deviation beforehand.
-pub(crate) fn free(law: &BTreeMap<String, f64>) -> Vec<(String, f64, f64)> {
+/// What a fit may change of a machine's curve, by key, and what is known of it beforehand; nothing of a line.
+pub(crate) fn free(spec: &MachineSpec) -> BTreeMap<String, Known> {
+    let Some(law) = spec.effects.get(LAW) else { return BTreeMap::new() };
     let is_double = law.get(KNEE).is_some_and(|knee| *knee > 0.0);
     let free = CANDIDATES[usize::from(is_double)].free;
-    let of = |(name, sigma): &(&str, f64)| Some((format!("{LAW}.{name}"), *law.get(*name)?, *sigma));
+    let of = |(name, sigma): &(&str, f64)| {
+        Some((format!("{LAW}.{name}"), Known { value: *law.get(*name)?, sigma: *sigma }))
+    };
     free.iter().filter_map(of).collect()
 }
 
@@ -68,10 +72,13 @@ pub(crate) fn words(law: &BTreeMap<String, f64>) -> String {
 
 /// What the flow at a curve's knee may be, %: a slope at the null that the plant's law has.
 pub(crate) fn possible_flow_percent(valve: &ValveData) -> Option<[f64; 2]> {
+    let law = effects::OF_DATA_SHEETS.iter().find(|law| law.key() == LAW)?;
+    let (flattest, steepest) = law.parameters().iter().find(|parameter| parameter.name == SLOPE)?.range;
+    let slopes = [flattest, steepest];
     match valve.curve? {
         FlowCurve::Linear => None,
-        FlowCurve::Progressive => Some(POSSIBLE_SLOPES.map(|slope| 25.0 * (slope + 1.0))),
-        FlowCurve::DoubleGain => Some(POSSIBLE_SLOPES.map(|slope| slope * knee_of(valve) * 100.0)),
+        FlowCurve::Progressive => Some(slopes.map(|slope| 25.0 * (slope + 1.0))),
+        FlowCurve::DoubleGain => Some(slopes.map(|slope| slope * knee_of(valve) * 100.0)),
     }
 }
 
@@ -101,7 +108,6 @@ mod tests {
     use crate::duty_cycle::find_duty_cycle;
     use crate::machine_data::MachineData;
     use crate::test_recordings::{press, recorded};
-    use seepd_sim::MachineSpec;
 
     const DATA: &str = "[cylinder]\nbore_mm = 63\nrod_mm = 36\nstroke_mm = 500\nmoved_mass_kg = 250\n\
                         [supply]\npump_flow_lpm = 90\nrelief_bar = 160\nreturn_bar = 1\n\

@@ -494,26 +494,27 @@ fn recognises_the_largest(
     leaks: LeakRange,
     cycle: &Cycle,
 ) -> bool {
-    let [tight, worn] = [0.0, leaks.top_m2()].map(|leak| recognised_with(leak, spec, settings, leaks, cycle));
+    let mut observations =
+        dataset::draw(spec, &settings.spread, leaks, TEMPLATE_MACHINES, settings.seed, purpose::LARGEST);
+    let [tight, worn] = [0.0, leaks.top_m2()].map(|leak_area_m2| {
+        observations.iter_mut().for_each(|observation| observation.leak_area_m2 = leak_area_m2);
+        recognised_of(&observations, spec, settings, cycle)
+    });
     let share = settings.least_recognised.max(LEAST_OF_THE_LARGEST) - FEWER_OF_THE_LARGEST;
     worn as f64 >= share * tight as f64
 }
 
-/// How many machines' cycles with that leak are recognised.
-fn recognised_with(
-    leak_area_m2: f64,
+/// How many of these machines' cycles are recognised.
+fn recognised_of(
+    observations: &[Observation],
     spec: &MachineSpec,
     settings: &TrainingSettings,
-    leaks: LeakRange,
     cycle: &Cycle,
 ) -> usize {
-    let mut observations =
-        dataset::draw(spec, &settings.spread, leaks, TEMPLATE_MACHINES, settings.seed, purpose::LARGEST);
-    observations.iter_mut().for_each(|observation| observation.leak_area_m2 = leak_area_m2);
     let phases = cycle.phase_list();
     let sample_rate_hz = 1.0 / spec.controller.log_period_s();
     let reading = Reading { cycle, phases: &phases, sample_rate_hz, projections: Projections::NONE };
-    let read = dataset::simulate(&observations, |index, commands| {
+    let read = dataset::simulate(observations, |index, commands| {
         let mut noise = noise_of(&observations[index], settings);
         let unit = dataset::unit_noise(&mut noise, commands.len());
         reading.read(commands, settings.filter, settings.noise.1, &unit).is_some()
