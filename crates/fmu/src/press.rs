@@ -212,6 +212,7 @@ impl Running {
             load_end: load,
             a_leak: values[places.leak].max(0.0),
             at: self.time_s.rem_euclid(cycle_s),
+            command: 0.0,
             open_loop: OpenLoopTick::default(),
         }
     }
@@ -238,6 +239,7 @@ impl Engine for PressEngine {
             load_end: values[self.places.load],
             a_leak: 0.0,
             at: values[self.places.start_time].rem_euclid(self.spec.cycle.period_s),
+            command: 0.0,
             open_loop: OpenLoopTick::default(),
         };
         let mut state = machine.start_at(&start);

@@ -53,6 +53,7 @@ fn reference_the_press_with_its_controller_is_the_machine() {
         load_end: -2000.0,
         a_leak: 3e-7,
         at: f64::from(tick) * 1e-3,
+        command: 0.0,
         open_loop: OpenLoopTick::default(),
     };
     let mut state = machine.start_at(&input(0));

@@ -109,8 +109,13 @@ pub fn follow(
     let Some(first) = drive.first().map(|first| Input::gather(std::slice::from_ref(first))) else { return };
     let mut state = start.map_or_else(|| machine.start_at(&first), |start| machine.start_from(start, &first));
     let mut block: Vec<SimulatedSignals<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
+    let mut inputs: Vec<Input<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     for (number, samples) in drive.chunks(BLOCK_TICKS).enumerate() {
-        tick_block_along(&machine, &mut state, samples, a_leak, &mut block);
+        inputs.clear();
+        inputs.extend(
+            samples.iter().map(|sample| Input { a_leak, ..Input::gather(std::slice::from_ref(sample)) }),
+        );
+        tick_block(&machine, &mut state, &inputs, &mut block);
         for (offset, signals) in block.iter().enumerate() {
             sink(number * BLOCK_TICKS + offset, signals);
         }
@@ -130,27 +135,7 @@ fn tick_block(
         #[inline(always)]
         || {
             for input in inputs {
-                block.push(machine.tick(state, input));
-            }
-        },
-    );
-}
-
-/// Runs a block of a drive's ticks, each machine with its own leak, as [`tick_block`] does.
-fn tick_block_along(
-    machine: &Machine<Lanes>,
-    state: &mut MachineState<Lanes>,
-    samples: &[DriveSample],
-    a_leak: Lanes,
-    block: &mut Vec<SimulatedSignals<Lanes>>,
-) {
-    block.clear();
-    widest(
-        #[inline(always)]
-        || {
-            for sample in samples {
-                let input = Input { a_leak, ..Input::gather(std::slice::from_ref(sample)) };
-                block.push(machine.tick_along(state, sample, &input));
+                block.push(machine.tick_inlined(state, input));
             }
         },
     );

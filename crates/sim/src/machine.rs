@@ -20,7 +20,9 @@ pub struct Input<T> {
     pub a_leak: T,
     /// Time in the duty cycle, s.
     pub at: T,
-    /// Who makes the command.
+    /// Command of a machine without a controller, share of full command.
+    pub command: T,
+    /// Who makes the command of a machine with one.
     pub open_loop: OpenLoopTick<T>,
 }
 
@@ -38,6 +40,7 @@ impl<T: Real> Input<T> {
             load_end: T::from_lanes(|lane| at(lane).load_end_n),
             a_leak: T::from_lanes(|lane| at(lane).leak_area_m2),
             at: T::from_lanes(|lane| at(lane).at_s),
+            command: T::from_lanes(|lane| at(lane).command.clamp(-1.0, 1.0)),
             open_loop: OpenLoopTick {
                 is_open: T::from_lanes(|lane| at(lane).open_loop.is_open),
                 command: T::from_lanes(|lane| at(lane).open_loop.command),
@@ -192,17 +195,41 @@ impl<T: Real> Machine<T> {
         }
     }
 
-    /// One controller tick: measure, compute the command, record, and run the plant to the next tick.
+    /// As [`tick`](Machine::tick), inlined into its caller, where the widest instructions are.
     #[inline(always)]
-    pub fn tick(&self, state: &mut MachineState<T>, input: &Input<T>) -> SimulatedSignals<T> {
-        let position = self.sense(state);
-        let demand = if self.has_open_loop { self.asked(state, position, input) } else { input.demand };
-        let before = state.pid;
-        let mut command = self.command(state, demand, position);
-        if self.has_open_loop {
-            command = self.own_or(state, command, &before, position, &input.open_loop);
+    pub(crate) fn tick_inlined(&self, state: &mut MachineState<T>, input: &Input<T>) -> SimulatedSignals<T> {
+        let position = self.sense_inlined(state, self.period);
+        let (command, demand) = if self.is_controlled {
+            self.controlled(state, position, input)
+        } else {
+            (input.command, input.demand)
+        };
+        let signals = SimulatedSignals {
+            command,
+            demand,
+            position,
+            p_supply: state.plant.p_s,
+            p_inlet: state.plant.p_3,
+            p_cap: state.plant.p_1,
+            p_rod: state.plant.p_2,
+            load: input.load,
+            leak_flow: self.plant.leak_flow(&state.plant, input.a_leak),
+            leak_area: input.a_leak,
+        };
+        self.advance(state, command, input, (self.steps, self.dt, self.period));
+        signals
+    }
+
+    /// The command of a tick where a controller makes it, and the demand that it follows.
+    #[inline(always)]
+    fn controlled(&self, state: &mut MachineState<T>, position: T, input: &Input<T>) -> (T, T) {
+        if !self.has_open_loop {
+            return (self.command_inlined(state, input.demand, position), input.demand);
         }
-        self.moved_on(state, command, position, &Input { demand, ..*input })
+        let demand = self.asked(state, position, input);
+        let before = state.pid;
+        let command = self.command_inlined(state, demand, position);
+        (self.own_or(state, command, &before, position, &input.open_loop), demand)
     }
 
     /// The demand of a tick where moves may begin open loop: the measured position then, and later the plan with what is left of the
@@ -229,85 +256,25 @@ impl<T: Real> Machine<T> {
         is_open.where_positive(own.max(-one).min(one), controlled)
     }
 
-    /// As [`tick`](Self::tick); where no controller makes the command, it is the drive's.
-    #[inline(always)]
-    pub fn tick_along(
-        &self,
-        state: &mut MachineState<T>,
-        sample: &DriveSample,
-        input: &Input<T>,
-    ) -> SimulatedSignals<T> {
-        if self.is_controlled {
-            return self.tick(state, input);
-        }
-        let position = self.sense(state);
-        self.moved_on(state, T::splat(sample.command.clamp(-1.0, 1.0)), position, input)
-    }
-
-    /// Records a tick, and runs the plant to the next one.
-    #[inline(always)]
-    fn moved_on(
-        &self,
-        state: &mut MachineState<T>,
-        command: T,
-        position: T,
-        input: &Input<T>,
-    ) -> SimulatedSignals<T> {
-        let signals = SimulatedSignals {
-            command,
-            demand: input.demand,
-            position,
-            p_supply: state.plant.p_s,
-            p_inlet: state.plant.p_3,
-            p_cap: state.plant.p_1,
-            p_rod: state.plant.p_2,
-            load: input.load,
-            leak_flow: self.leak_flow(state, input.a_leak),
-            leak_area: input.a_leak,
-        };
-        self.run(state, command, input);
-        signals
-    }
-
     /// The demand at which a controller makes what laws have it make of the control error.
     fn corrected(&self, demand: T, position: T) -> T {
         position + self.laws.iter().fold(demand - position, |error, law| law.correct(error))
     }
 
-    /// The measured position at a tick: once a tick, as sensors remember.
     #[inline(always)]
-    pub fn sense(&self, state: &mut MachineState<T>) -> T {
-        self.sense_after(state, self.period)
-    }
-
-    /// As [`sense`](Self::sense), a time after the last measurement, s.
-    #[inline(always)]
-    pub fn sense_after(&self, state: &mut MachineState<T>, period: T) -> T {
+    fn sense_inlined(&self, state: &mut MachineState<T>, period: T) -> T {
         let sensing = Sensing { period };
         let laws = self.laws.iter().zip(&mut state.memory);
         laws.fold(state.plant.x, |position, (law, memory)| law.sense(memory, position, &sensing))
     }
 
-    /// The controller's command of a tick, for a demand and a measured position: once a tick.
     #[inline(always)]
-    pub fn command(&self, state: &mut MachineState<T>, demand: T, position: T) -> T {
+    fn command_inlined(&self, state: &mut MachineState<T>, demand: T, position: T) -> T {
         let asked = if self.corrects_errors { self.corrected(demand, position) } else { demand };
         self.pid.tick(&mut state.pid, asked, position)
     }
 
-    /// Flow past the piston, cap → rod, m³/s.
-    #[inline(always)]
-    pub fn leak_flow(&self, state: &MachineState<T>, a_leak: T) -> T {
-        self.plant.leak_flow(&state.plant, a_leak)
-    }
-
-    /// The plant from one tick to the next under a held command.
-    #[inline(always)]
-    pub fn run(&self, state: &mut MachineState<T>, command: T, input: &Input<T>) {
-        self.advance(state, command, input, (self.steps, self.dt, self.period));
-    }
-
-    /// As [`run`](Self::run), in a number of steps, of a length in s, in a period, s.
+    /// The plant under a held command, in a number of steps, of a length in s, in a period, s.
     #[inline(always)]
     fn advance(
         &self,
@@ -345,7 +312,38 @@ impl<T: Real> Machine<T> {
 /// Share of a period by which a step may differ from it and be meant as one: sums of decimal fractions are off by some bits.
 const SAME_PERIOD: f64 = 1e-9;
 
+/// One machine, for other crates: compiled here, and not again where it is called.
 impl Machine<f64> {
+    /// One controller tick: measure, compute the command, record, and run the plant to the next tick.
+    pub fn tick(&self, state: &mut MachineState<f64>, input: &Input<f64>) -> SimulatedSignals<f64> {
+        self.tick_inlined(state, input)
+    }
+
+    /// The measured position at a tick: once a tick, as sensors remember.
+    pub fn sense(&self, state: &mut MachineState<f64>) -> f64 {
+        self.sense_inlined(state, self.period)
+    }
+
+    /// As [`sense`](Self::sense), a time after the last measurement, s.
+    pub fn sense_after(&self, state: &mut MachineState<f64>, period_s: f64) -> f64 {
+        self.sense_inlined(state, period_s)
+    }
+
+    /// The controller's command of a tick, for a demand and a measured position, m: once a tick.
+    pub fn command(&self, state: &mut MachineState<f64>, demand_m: f64, position_m: f64) -> f64 {
+        self.command_inlined(state, demand_m, position_m)
+    }
+
+    /// Flow past the piston, cap → rod, m³/s.
+    pub fn leak_flow(&self, state: &MachineState<f64>, leak_area_m2: f64) -> f64 {
+        self.plant.leak_flow(&state.plant, leak_area_m2)
+    }
+
+    /// The plant from one tick to the next under a held command.
+    pub fn run(&self, state: &mut MachineState<f64>, command: f64, input: &Input<f64>) {
+        self.advance(state, command, input, (self.steps, self.dt, self.period));
+    }
+
     /// The plant over any time, s, under a held command, in steps that are no longer than its own: for whoever steps it from outside. One
     /// period gives the bits of [`run`](Self::run).
     pub fn run_for(&self, state: &mut MachineState<f64>, command: f64, input: &Input<f64>, over_s: f64) {

@@ -456,10 +456,14 @@ impl<T: Real> Plant<T> {
     ) -> State<T> {
         let half = dt * T::splat(0.5);
         let load_mid = (drive.load + drive.load_end) * T::splat(0.5);
-        let k1 = self.rates_at(state, drive.load, drive, acting);
-        let k2 = self.rates_at(&state.advanced(&k1, half), load_mid, drive, acting);
-        let k3 = self.rates_at(&state.advanced(&k2, half), load_mid, drive, acting);
-        let k4 = self.rates_at(&state.advanced(&k3, dt), drive.load_end, drive, acting);
+        // In a loop, so that the rates are compiled once for each instruction set.
+        let (mut at, mut rates) = (*state, [*state; 4]);
+        let stages = [(drive.load, half), (load_mid, half), (load_mid, dt), (drive.load_end, dt)];
+        for (rate, (load, next)) in rates.iter_mut().zip(stages) {
+            *rate = self.rates_at(&at, load, drive, acting);
+            at = state.advanced(rate, next);
+        }
+        let [k1, k2, k3, k4] = rates;
         let two = T::splat(2.0);
         let mean = State {
             p_s: k1.p_s + two * (k2.p_s + k3.p_s) + k4.p_s,

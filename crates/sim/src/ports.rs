@@ -331,6 +331,7 @@ mod tests {
                 load_end: input.load_n,
                 a_leak: 0.0,
                 at: 0.0,
+                command: 0.0,
                 open_loop: OpenLoopTick::default(),
             };
             if let Some(state) = &mut self.state {
