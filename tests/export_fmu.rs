@@ -218,21 +218,25 @@ fn verdict(log: &Path, plant: &Path) -> (String, Value, Vec<(String, f64)>) {
     (found["verdict"].as_str().unwrap().into(), found["chosen"].clone(), probabilities)
 }
 
-/// One of what `docs/SIMULATOR_VALIDATION.md` tells: the exported press is diagnosed as the native one.
+/// A handful of what `docs/SIMULATOR_VALIDATION.md` tells: the exported press is diagnosed as the native one.
 #[test]
 fn the_exported_press_gives_the_native_verdicts() {
     let folder = tempfile::tempdir().unwrap();
     let (plant, emitted) = (folder.path().join("press.toml"), folder.path().join("simulator.toml"));
     fs::write(&plant, SHORT).unwrap();
     export(folder.path(), "press.fmu", &["--plant", text_of(&plant), "--emit-plant", text_of(&emitted)]);
-    let log = folder.path().join("log.mcap");
-    let planted = ["--leak-area", "2e-7", "--with", "valve_deadband.half_width=0.04"];
-    simulate(&log, &[&["--plant", text_of(&plant), "--cycles", "8"], &planted[..]].concat());
-    let (native, exported) = (verdict(&log, &plant), verdict(&log, &emitted));
-    assert_eq!((&native.0, &native.1), (&exported.0, &exported.1));
-    for (name, probability) in &exported.2 {
-        let of_native = native.2.iter().find(|(other, _)| other == name).map_or(0.0, |(_, p)| *p);
-        assert!((probability - of_native).abs() < 0.05, "{name} {of_native} {probability}");
+    for effect in ["valve_deadband.half_width=0.04", "external_leak.cap_m3_per_s_pa=5e-12"] {
+        let log = folder.path().join(format!("{effect}.mcap"));
+        simulate(
+            &log,
+            &["--plant", text_of(&plant), "--cycles", "8", "--leak-area", "2e-7", "--with", effect],
+        );
+        let (native, exported) = (verdict(&log, &plant), verdict(&log, &emitted));
+        assert_eq!((&native.0, &native.1), (&exported.0, &exported.1), "{effect}");
+        for (name, probability) in &exported.2 {
+            let of_native = native.2.iter().find(|(other, _)| other == name).map_or(0.0, |(_, p)| *p);
+            assert!((probability - of_native).abs() < 0.05, "{effect}: {name} {of_native} {probability}");
+        }
     }
 }
 

@@ -80,8 +80,10 @@ fn a_planted_friction_is_named_sized_and_removed() {
     assert!((leak_m2 - 2e-7).abs() < 4e-9, "{leak_m2}");
     let page = fs::read_to_string(&page).unwrap();
     assert!(page.contains("an effect: coulomb_friction") && !page.contains("http"));
-    // That it closes the gap is seen where causes are learned.
+    // The emitted plant is the machine: its own gap is none.
     stdout(&seepd(["check", text_of(&plant)]));
+    let again = diagnose(&log, &["--plant", text_of(&plant)]);
+    assert_eq!(again["verdict"], "no_gap", "{again}");
 }
 
 #[test]
