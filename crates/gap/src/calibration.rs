@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::diagnosable::Diagnosable;
 use crate::diagnosis::split;
 use crate::fit::{Fit, Free, Problem, Target, free_parameters, of_effect};
 use crate::posterior::Posterior;
@@ -55,7 +56,15 @@ pub struct Known {
 
 /// Fits a machine's parameters, within their bounds and priors, to a record, and what the settings ask for beside them. Effects that there
 /// are none of by a name are left out.
-pub fn calibrate<A: SimulatedAxis>(
+pub fn calibrate<A: Diagnosable>(
+    record: &Record,
+    spec: &A,
+    settings: &CalibrationSettings,
+) -> Calibration<A> {
+    spec.calibrated(record, settings)
+}
+
+pub(crate) fn calibrate_axis<A: SimulatedAxis>(
     record: &Record,
     spec: &A,
     settings: &CalibrationSettings,

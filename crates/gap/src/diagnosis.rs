@@ -9,6 +9,7 @@ use seepd_sim::learned::Site;
 use seepd_sim::real::LANES;
 
 use crate::course::{ChangeKind, change};
+use crate::diagnosable::Diagnosable;
 use crate::fit::{Fit, Problem, Target, free_parameters, of_effect, values_of};
 use crate::learn::{LearnedMachine, learn};
 use crate::next_test::{Candidate as NextTestCandidate, NextTest, next_test};
@@ -69,7 +70,16 @@ const VISIBLE: f64 = 2.0;
 /// [`STEPS`].
 ///
 /// The [crate's page](crate) has an example.
-pub fn diagnose<A: SimulatedAxis>(
+pub fn diagnose<A: Diagnosable>(
+    record: &Record,
+    spec: &A,
+    settings: &DiagnosisSettings,
+    tell: &mut dyn FnMut(usize),
+) -> (Diagnosis, A) {
+    spec.diagnosed(record, settings, tell)
+}
+
+pub(crate) fn diagnose_axis<A: SimulatedAxis>(
     record: &Record,
     spec: &A,
     settings: &DiagnosisSettings,
@@ -200,7 +210,14 @@ fn adopted<'l, A: SimulatedAxis>(
 }
 
 /// Gap of a machine in which wear alone is fitted, by signal, on the cycles that a diagnosis holds out.
-pub fn nominal_gap<A: SimulatedAxis>(record: &Record, spec: &A) -> BTreeMap<&'static str, f64> {
+pub fn nominal_gap<A: Diagnosable>(record: &Record, spec: &A) -> BTreeMap<&'static str, f64> {
+    spec.nominal_gap(record)
+}
+
+pub(crate) fn nominal_gap_of_axis<A: SimulatedAxis>(
+    record: &Record,
+    spec: &A,
+) -> BTreeMap<&'static str, f64> {
     let (fitted, held_out) = split(record);
     let problem = Problem::new(record, &fitted);
     let nominal = Fit::of_wear(&problem, spec, DiagnosisSettings::default().iterations);

@@ -14,6 +14,8 @@ use crate::simulated_axis::{CalibratedParameter, EffectValues, Imbalances, Scale
 /// The drive's force for which the catalogue states its ranges, N.
 const REFERENCE_FORCE_N: f64 = 1e3;
 
+crate::diagnosable!(ElectricAxis);
+
 impl SimulatedAxis for ElectricAxis {
     fn catalogue(&self) -> Vec<&'static EffectInfo> {
         CATALOGUE.iter().collect()

@@ -2,6 +2,7 @@
 
 pub mod calibration;
 pub mod course;
+pub mod diagnosable;
 pub mod diagnosis;
 mod electric;
 mod fit;
@@ -25,6 +26,7 @@ pub mod simulated_axis;
 pub mod transducers;
 
 pub use calibration::{Calibration, CalibrationSettings, Known, calibrate};
+pub use diagnosable::Diagnosable;
 pub use diagnosis::{DiagnosisSettings, cannot_tell, diagnose, nominal_gap};
 pub use posterior::Posterior;
 pub use record::{Log, Mismatch, Record, RecordError, Shortage};

@@ -59,6 +59,8 @@ fn symbol_of(key: &'static str) -> &'static str {
     PlantParameters::ALL.iter().find(|info| info.key == key).map_or(key, |info| info.symbol)
 }
 
+crate::diagnosable!(MachineSpec);
+
 impl SimulatedAxis for MachineSpec {
     /// Without a controller, what acts on one and what happens at a time in a duty cycle is no explanation.
     fn catalogue(&self) -> Vec<&'static EffectInfo> {

@@ -4,6 +4,7 @@ use seepd_signals::Signal;
 use seepd_sim::SensorError;
 use seepd_sim::cycle::DriveSample;
 
+use crate::diagnosable::Diagnosable;
 use crate::simulate::{Drive, bins_of, cycles_to_forget};
 use crate::simulated_axis::SimulatedAxis;
 
@@ -249,7 +250,11 @@ impl Record {
     ///
     /// # Errors
     /// [`RecordError`] for a log that cannot be of such a machine, or with too few cycles.
-    pub fn new<A: SimulatedAxis>(log: &Log, spec: &A) -> Result<Self, RecordError> {
+    pub fn new<A: Diagnosable>(log: &Log, spec: &A) -> Result<Self, RecordError> {
+        spec.record(log)
+    }
+
+    pub(crate) fn of_log<A: SimulatedAxis>(log: &Log, spec: &A) -> Result<Self, RecordError> {
         check(log, spec)?;
         let mut notes = Vec::new();
         let ticks = (spec.duty_cycle().period_s / spec.tick_s()).round() as usize;

@@ -8,6 +8,7 @@ use std::ops::Range;
 use seepd_signals::Signal;
 use seepd_sim::cycle::{DriveSample, OpenLoopTick, RunStart};
 
+use crate::diagnosable::Diagnosable;
 use crate::record::{
     ANOTHER_KIND, FEWEST_SAMPLES, Log, Mismatch, Record, RecordError, RecordedCycle, binned, bridged, check,
     floors, ranges,
@@ -79,7 +80,11 @@ impl Record {
     ///
     /// # Errors
     /// [`RecordError`] for what is wrong with a run, or between two.
-    pub fn of_runs<A: SimulatedAxis>(runs: &[Run], spec: &A) -> Result<Self, RecordError> {
+    pub fn of_runs<A: Diagnosable>(runs: &[Run], spec: &A) -> Result<Self, RecordError> {
+        spec.record_of_runs(runs)
+    }
+
+    pub(crate) fn of_runs_on<A: SimulatedAxis>(runs: &[Run], spec: &A) -> Result<Self, RecordError> {
         let mut notes = Vec::new();
         let mut filled = Vec::with_capacity(runs.len());
         for run in runs {

@@ -128,6 +128,8 @@ fn calibrated(name: &str, parameter: &ParameterSpec) -> CalibratedParameter {
     }
 }
 
+seepd_gap::diagnosable!(SimulatorAxis);
+
 impl SimulatedAxis for SimulatorAxis {
     const IS_DEAR: bool = true;
 

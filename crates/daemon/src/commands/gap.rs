@@ -6,7 +6,9 @@ use std::time::Instant;
 
 use clap::{Args, Subcommand};
 use seepd_gap::report::{Diagnosis, Verdict};
-use seepd_gap::{DiagnosisSettings, Log, Record, RecordError, Run, SimulatedAxis, cannot_tell, diagnose};
+use seepd_gap::{
+    Diagnosable, DiagnosisSettings, Log, Record, RecordError, Run, SimulatedAxis, cannot_tell, diagnose,
+};
 use seepd_logs::open;
 use seepd_monitor::event::LPM_PER_M3_PER_S;
 use seepd_monitor::pipeline::REFERENCE_DP_PA;
@@ -343,7 +345,7 @@ pub(super) fn pool(threads: Option<u16>) -> Result<rayon::ThreadPool, Failure> {
 ///
 /// # Errors
 /// [`RecordError`] for a log that holds too little.
-pub(super) fn answer<A: SimulatedAxis>(
+pub(super) fn answer<A: Diagnosable>(
     record: Result<Record, RecordError>,
     spec: &A,
     settings: &DiagnosisSettings,
@@ -359,7 +361,7 @@ pub(super) fn answer<A: SimulatedAxis>(
 }
 
 /// An axis that can be written as a plant file.
-pub(super) trait PlantFile: SimulatedAxis {
+pub(super) trait PlantFile: Diagnosable {
     /// The file's text.
     fn text(&self) -> Result<String, String>;
     /// The same axis with another duty cycle, if it can have one.
