@@ -1,6 +1,6 @@
 //! What a valve opens at a command that stands still.
 
-use crate::effects::{Effect, Law, Substep, ValveCurve, ValveDeadband, ValveFlowShape};
+use crate::effects::{Effect, Law, Substep, ValveCurve, ValveDeadband, ValveFlowShape, ValveOverlap};
 use crate::spec::MachineSpec;
 
 /// The steady way from a machine's command, less its null, to the opening that passes oil: dead band and flow curve.
@@ -11,7 +11,7 @@ pub struct SteadyOpening {
 impl SteadyOpening {
     /// Of a machine.
     pub fn of(spec: &MachineSpec) -> Self {
-        let laws: [&dyn Effect; 3] = [&ValveDeadband, &ValveFlowShape, &ValveCurve];
+        let laws: [&dyn Effect; 4] = [&ValveDeadband, &ValveFlowShape, &ValveOverlap, &ValveCurve];
         let laws = laws.into_iter().filter(|law| spec.effects.contains_key(law.key()));
         SteadyOpening { laws: laws.map(|law| law.scalar(&spec.effect_values(law))).collect() }
     }

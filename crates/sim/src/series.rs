@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::effects::{self, Effect, ValveDeadband};
+use crate::effects::{self, Effect, ValveDeadband, ValveOverlap};
 use crate::noise::Noise;
 use crate::oil;
 use crate::size::Size;
@@ -103,7 +103,8 @@ fn move_along(spec: &mut MachineSpec, direction: &Direction, by: f64) {
 /// The machine with so much more overlap of its valve's lands, share of full command: the effect `valve_deadband`, up to its largest value.
 pub fn with_more_deadband(spec: &MachineSpec, half_width: f64) -> MachineSpec {
     let (effect, parameter) = (&ValveDeadband, &ValveDeadband.parameters()[0]);
-    let wider = (deadband(spec) + half_width).min(Size::of(spec).range_of(parameter).1);
+    let [there, of_parts] = [effect as &dyn Effect, &ValveOverlap].map(|law| spec.effect_values(law)[0]);
+    let wider = (there + half_width).min((Size::of(spec).range_of(parameter).1 - of_parts).max(there));
     let mut overlapped = spec.clone();
     overlapped.effects.entry(effect.key().into()).or_default().insert(parameter.name.into(), wider);
     overlapped
@@ -111,7 +112,8 @@ pub fn with_more_deadband(spec: &MachineSpec, half_width: f64) -> MachineSpec {
 
 /// Half width of a machine's dead band, share of full command.
 pub fn deadband(spec: &MachineSpec) -> f64 {
-    spec.effect_values(&ValveDeadband)[0]
+    let laws: [&dyn Effect; 2] = [&ValveDeadband, &ValveOverlap];
+    laws.map(|law| spec.effect_values(law)[0]).iter().sum()
 }
 
 /// The machine with oil of another temperature, °C, and its relief pressure over its own. The oil does what the effect
