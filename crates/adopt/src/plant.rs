@@ -22,8 +22,19 @@ const SERVO_RATED_BAR: f64 = 70.0;
 /// Speed gain of the position loop of the nominal press, 1/s, and its ratio of integral to proportional gain, 1/s.
 const USUAL_LOOP_PER_S: f64 = 9.3;
 const USUAL_INTEGRAL_PER_S: f64 = 1.25;
-/// Widest dead band that the plant knows.
+/// A valve's overlap: law of the plant, its half width and how round its edges are.
+pub(crate) const OVERLAP: (&str, &str) = ("valve_overlap", "half_width");
+pub(crate) const ROUNDING: &str = "rounding";
+/// Rounding of the edges where nothing tells it, share of full command: some hundredths of a millimetre of a travel of millimetres.
+pub(crate) const USUAL_ROUNDING: f64 = 0.006;
+/// How much of a valve's overlap its controller usually jumps over.
+const JUMP_SHARE: f64 = 0.92;
+/// Widest overlap that the plant knows.
 const WIDEST_OVERLAP: f64 = 0.25;
+/// How much less than the article's a catalogue's valve leaks from its inlet into the rod port alone. The lands of a spool leak alike into
+/// both ports and out of them, which moves no piston; what is left of one side is the null's offset. Behind an overlap a leak of one side
+/// would push the piston through every hold.
+const BALANCED: f64 = 1e3;
 /// Longest task period that is simulated, s: a slower log has every n-th command of a faster controller.
 const LONGEST_TASK_S: f64 = 4e-3;
 
@@ -373,9 +384,18 @@ impl Describer {
     fn valve(&mut self, data: &MachineData, logged: &LoggedSize) {
         let valve = &data.valve;
         let key = "valve_m3_per_s_sqrt_pa";
+        // A jump over the whole overlap makes a loop hunt, so that it is set a little short of it.
+        let behind_the_jump = data
+            .controller
+            .dead_band_compensation_percent
+            .map(|percent| percent.value() / 100.0 / JUMP_SHARE);
+        let stated = data.valve.overlap_percent.map(|percent| percent.value() / 100.0).or(behind_the_jump);
+        let overlap = stated.unwrap_or(0.0).clamp(0.0, WIDEST_OVERLAP);
         match (valve.rated_flow_lpm, logged.speed_m_per_s) {
             (Some(flow), _) => {
-                self.known(key, flow, LPM_M3_PER_S / rated_land_pa(data).sqrt(), tolerance::VALVE);
+                // The rated flow is that of full command, which opens an overlapped valve by what is left beyond the overlap.
+                let to_si = LPM_M3_PER_S / rated_land_pa(data).sqrt() / (1.0 - overlap);
+                self.known(key, flow, to_si, tolerance::VALVE);
                 if valve.rated_at_bar.is_none() {
                     self.remarks.push(format!(
                         "valve.rated_at_bar is not given: {SERVO_RATED_BAR} bar over the loop is taken, as for servo valves; proportional valves \
@@ -395,20 +415,16 @@ impl Describer {
                 self.usual(key, scale * nominal.valve_m3_per_s_sqrt_pa);
             }
         }
-        if let Some(overlap) = data.overlap().filter(|half| *half > 0.0) {
-            if overlap > WIDEST_OVERLAP {
-                self.remarks.push(format!(
-                    "an overlap of {:.0} % is beyond the plant's widest dead band; {:.0} % is taken",
-                    100.0 * overlap,
-                    100.0 * WIDEST_OVERLAP
-                ));
-            }
-            let half_width = overlap.min(WIDEST_OVERLAP);
-            self.spec
-                .effects
-                .entry("valve_deadband".into())
-                .or_default()
-                .insert("half_width".into(), half_width);
+        if overlap > 0.0 {
+            let law = [(OVERLAP.1, overlap), (ROUNDING, USUAL_ROUNDING)];
+            self.spec.effects.insert(OVERLAP.0.into(), law.map(|(name, value)| (name.into(), value)).into());
+        }
+        if let Some(stated) = stated.filter(|stated| *stated > WIDEST_OVERLAP) {
+            self.remarks.push(format!(
+                "an overlap of {:.0} % is beyond the plant's widest; {:.0} % is taken",
+                100.0 * stated,
+                100.0 * WIDEST_OVERLAP
+            ));
         }
         if let Some(curve) = flow_curve::stated(valve).filter(|curve| !curve.is_empty()) {
             self.spec.effects.insert(flow_curve::LAW.into(), curve);
@@ -457,7 +473,7 @@ impl Describer {
         );
         self.usual(
             "valve_rod_resistance_pa_s_per_m3",
-            thick * nominal.valve_rod_resistance_pa_s_per_m3 / flow,
+            BALANCED * thick * nominal.valve_rod_resistance_pa_s_per_m3 / flow,
         );
         self.set("bulk_modulus_pa", nominal.bulk_modulus_pa, Origin::Default, 0.3);
     }
@@ -532,6 +548,7 @@ pub(crate) fn speed_of(cap_m2: f64, annulus_m2: f64, supply_pa: f64, valve_m3_pe
 #[cfg(test)]
 mod tests {
     use seepd_sim::Controller;
+    use seepd_sim::opening::SteadyOpening;
 
     use super::*;
 
@@ -547,10 +564,14 @@ mod tests {
                 .unwrap();
         let nominal = MachineSpec::default();
         for info in seepd_sim::PlantParameters::ALL {
-            let (given, wanted) =
+            let (given, mut wanted) =
                 (described.spec.plant.get(info.key).unwrap(), nominal.plant.get(info.key).unwrap());
             if info.key == "inlet_volume_m3" {
                 continue;
+            }
+            // The article's valve leaks to one side, a catalogue's to both.
+            if info.key == "valve_rod_resistance_pa_s_per_m3" {
+                wanted *= BALANCED;
             }
             let tolerance = 2e-3 * wanted.abs().max(f64::MIN_POSITIVE);
             assert!((given - wanted).abs() <= tolerance, "{}: {given} {wanted}", info.key);
@@ -559,6 +580,29 @@ mod tests {
         assert_eq!(controller, nominal.controller);
         assert_eq!(described.values["valve_m3_per_s_sqrt_pa"].origin, Origin::User);
         assert_eq!(described.values["bulk_modulus_pa"].origin, Origin::Default);
+    }
+
+    /// Full command opens an overlapped valve by what is left beyond the overlap, and gives the rated flow all the same. A jump alone tells
+    /// of an overlap that is a little wider.
+    #[test]
+    fn an_overlapped_valve_passes_its_rated_flow_at_full_command() {
+        let of = |overlap: &str| {
+            let text = format!("[valve]\nrated_flow_lpm = 96\nrated_at_bar = 70\n{overlap}");
+            let logged = LoggedSize { log_period_s: 1e-3, period_s: 10.0, ..LoggedSize::default() };
+            describe(&MachineData::from_toml(&text).unwrap(), &logged).unwrap().spec
+        };
+        let at_full =
+            |spec: &MachineSpec| spec.plant.valve_m3_per_s_sqrt_pa * SteadyOpening::of(spec).at(1.0);
+        let lapped = at_full(&of(""));
+        for (data, half_width) in [
+            ("overlap_percent = 12\n", 0.12),
+            ("overlap_percent = 12\n[controller]\ndead_band_compensation_percent = 11\n", 0.12),
+            ("[controller]\ndead_band_compensation_percent = 11\n", 0.11 / JUMP_SHARE),
+        ] {
+            let spec = of(data);
+            assert!((spec.effects[OVERLAP.0][OVERLAP.1] - half_width).abs() < 1e-12, "{data}");
+            assert!((at_full(&spec) / lapped - 1.0).abs() < 1e-3, "{data}");
+        }
     }
 
     #[test]
