@@ -17,7 +17,8 @@ use crate::flow_curve;
 use crate::machine_data::MachineData;
 use crate::open_loop::going_as_far;
 use crate::plant::{
-    DataError, DescribedPlant, LoggedSize, OVERLAP, Origin, PlantValue, ROUNDING, USUAL_ROUNDING, describe,
+    BALANCED, DataError, DescribedPlant, LoggedSize, ONE_SIDED, OVERLAP, Origin, PlantValue, ROUNDING,
+    USUAL_ROUNDING, describe,
 };
 use crate::process_force::{self, ProcessForce};
 use crate::recording::Recording;
@@ -43,9 +44,9 @@ const POSITION_ROOM: f64 = 0.02;
 const REMARKED_CHANGE: f64 = 0.1;
 /// A rest of the command, over its range, from which the demand that was found is remarked on.
 const POOR: f64 = 0.03;
-/// A command that is off by less than this share of its range says nothing of the flow curve, and a curve may leave at most this share of
-/// what a line does.
+/// A command that is off by less than this share of its range says nothing more of the valve.
 const LEAST_BENT: f64 = 0.0015;
+/// What another kind of valve may leave at most of what the usual one does.
 const MUCH_NEARER: f64 = 0.7;
 /// A friction below this share of the largest force of the piston is left out.
 const LEAST_FRICTION: f64 = 0.01;
@@ -376,6 +377,16 @@ impl Adopter<'_> {
         command: &[f64],
     ) -> Result<Fitted, AdoptionError> {
         let mut best = self.with_unknown_force(self.fitted(spec, offset_m)?, offset_m, command)?;
+        let mut spec = spec;
+        let (otherwise, words) = self.leaking_otherwise(spec);
+        if is_far(&best.calibration) {
+            let leaking = self.with_unknown_force(self.fitted(&otherwise, offset_m)?, offset_m, command)?;
+            if command_gap(&leaking.calibration) < MUCH_NEARER * command_gap(&best.calibration) {
+                (best, spec) = (leaking, &otherwise);
+                best.remarks
+                    .push(format!("the holds show that the valve {words}: check valve.overlap_percent"));
+            }
+        }
         if !self.described.knows_curve
             && let Some(bent) = self.along_a_curve(spec, offset_m, &best)?
         {
@@ -419,6 +430,21 @@ impl Adopter<'_> {
         Ok(again)
     }
 
+    /// The same machine with a valve that leaks to one side where it does not, and the other way round.
+    fn leaking_otherwise(&self, spec: &MachineSpec) -> (MachineSpec, &'static str) {
+        let is_balanced = self.described.spec.effects.contains_key(OVERLAP.0);
+        let (times, words) = if is_balanced {
+            (1.0 / BALANCED, "leaks to one side, though it overlaps")
+        } else {
+            (BALANCED, "leaks alike to both sides, as an overlapped one does")
+        };
+        let mut otherwise = spec.clone();
+        if let Some(resistance) = otherwise.plant.get_mut(ONE_SIDED) {
+            *resistance *= times;
+        }
+        (otherwise, words)
+    }
+
     /// The machine with the flow curve that brings its command nearest to the log's, where a line stays further from it than its cycles from
     /// one another.
     fn along_a_curve(
@@ -427,9 +453,7 @@ impl Adopter<'_> {
         offset_m: f64,
         line: &Fitted,
     ) -> Result<Option<Fitted>, AdoptionError> {
-        let of_line = command_gap(&line.calibration);
-        let floor = line.calibration.floor.get(Signal::Command.name()).copied().unwrap_or(0.0);
-        if of_line < LEAST_BENT.max(2.0 * floor) {
+        if !is_far(&line.calibration) {
             return Ok(None);
         }
         let mut best: Option<Fitted> = None;
@@ -627,6 +651,12 @@ struct Fitted {
 /// How far the calibrated simulation's command is from the log's on held-out cycles, over its range.
 fn command_gap(calibration: &Calibration<MachineSpec>) -> f64 {
     command_gap_of(&calibration.gaps[1])
+}
+
+/// Whether the calibrated simulation stays further from the log than its cycles from one another.
+fn is_far(calibration: &Calibration<MachineSpec>) -> bool {
+    let floor = calibration.floor.get(Signal::Command.name()).copied().unwrap_or(0.0);
+    command_gap(calibration) >= LEAST_BENT.max(2.0 * floor)
 }
 
 fn command_gap_of(gaps: &BTreeMap<&'static str, f64>) -> f64 {

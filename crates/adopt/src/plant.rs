@@ -31,10 +31,11 @@ pub(crate) const USUAL_ROUNDING: f64 = 0.006;
 const JUMP_SHARE: f64 = 0.92;
 /// Widest overlap that the plant knows.
 const WIDEST_OVERLAP: f64 = 0.25;
-/// How much less than the article's a catalogue's valve leaks from its inlet into the rod port alone. The lands of a spool leak alike into
-/// both ports and out of them, which moves no piston; what is left of one side is the null's offset. Behind an overlap a leak of one side
-/// would push the piston through every hold.
-const BALANCED: f64 = 1e3;
+/// What the valve leaks from its inlet into the rod port alone. The lands of a spool leak alike into both ports and out of them, which moves
+/// no piston: without an overlap what is left of one side is part of the null, behind one it would push the piston through every hold.
+pub(crate) const ONE_SIDED: &str = "valve_rod_resistance_pa_s_per_m3";
+/// How much less than the article's an overlapped valve leaks to one side, until the log tells otherwise.
+pub(crate) const BALANCED: f64 = 1e3;
 /// Longest task period that is simulated, s: a slower log has every n-th command of a faster controller.
 const LONGEST_TASK_S: f64 = 4e-3;
 
@@ -471,10 +472,8 @@ impl Describer {
             "valve_return_resistance_pa_s_per_m3",
             thick * nominal.valve_return_resistance_pa_s_per_m3 / flow,
         );
-        self.usual(
-            "valve_rod_resistance_pa_s_per_m3",
-            BALANCED * thick * nominal.valve_rod_resistance_pa_s_per_m3 / flow,
-        );
+        let balance = if self.spec.effects.contains_key(OVERLAP.0) { BALANCED } else { 1.0 };
+        self.usual(ONE_SIDED, balance * thick * nominal.valve_rod_resistance_pa_s_per_m3 / flow);
         self.set("bulk_modulus_pa", nominal.bulk_modulus_pa, Origin::Default, 0.3);
     }
 
@@ -564,14 +563,10 @@ mod tests {
                 .unwrap();
         let nominal = MachineSpec::default();
         for info in seepd_sim::PlantParameters::ALL {
-            let (given, mut wanted) =
+            let (given, wanted) =
                 (described.spec.plant.get(info.key).unwrap(), nominal.plant.get(info.key).unwrap());
             if info.key == "inlet_volume_m3" {
                 continue;
-            }
-            // The article's valve leaks to one side, a catalogue's to both.
-            if info.key == "valve_rod_resistance_pa_s_per_m3" {
-                wanted *= BALANCED;
             }
             let tolerance = 2e-3 * wanted.abs().max(f64::MIN_POSITIVE);
             assert!((given - wanted).abs() <= tolerance, "{}: {given} {wanted}", info.key);
@@ -594,6 +589,7 @@ mod tests {
         let at_full =
             |spec: &MachineSpec| spec.plant.valve_m3_per_s_sqrt_pa * SteadyOpening::of(spec).at(1.0);
         let lapped = at_full(&of(""));
+        let one_sided = of("").plant.valve_rod_resistance_pa_s_per_m3;
         for (data, half_width) in [
             ("overlap_percent = 12\n", 0.12),
             ("overlap_percent = 12\n[controller]\ndead_band_compensation_percent = 11\n", 0.12),
@@ -602,6 +598,7 @@ mod tests {
             let spec = of(data);
             assert!((spec.effects[OVERLAP.0][OVERLAP.1] - half_width).abs() < 1e-12, "{data}");
             assert!((at_full(&spec) / lapped - 1.0).abs() < 1e-3, "{data}");
+            assert!(spec.plant.valve_rod_resistance_pa_s_per_m3 > 100.0 * one_sided, "{data}");
         }
     }
 
