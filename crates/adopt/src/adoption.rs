@@ -16,10 +16,8 @@ use crate::duty_cycle::FoundCycle;
 use crate::flow_curve;
 use crate::machine_data::MachineData;
 use crate::open_loop::going_as_far;
-use crate::plant::{
-    BALANCED, DataError, DescribedPlant, LoggedSize, ONE_SIDED, OVERLAP, Origin, PlantValue, ROUNDING,
-    USUAL_ROUNDING, describe,
-};
+use crate::overlap;
+use crate::plant::{DataError, DescribedPlant, LoggedSize, Origin, PlantValue, describe};
 use crate::process_force::{self, ProcessForce};
 use crate::recording::Recording;
 use crate::strokes::{noise_of, quantile, range, slope};
@@ -56,12 +54,6 @@ const UNIFORM: f64 = 1.732_050_8;
 /// (Jelali, Kroll, Hydraulic Servo-systems, 2003, chapter 4), and the null of a valve as adjusted, share of full command.
 const USUAL_FRICTION: f64 = 0.02;
 const USUAL_NULL: f64 = 0.02;
-/// Standard deviation of a valve's overlap where its data sheet states one: share of it, and share of full command.
-const STATED_OVERLAP: (f64, f64) = (0.05, 0.007);
-/// Standard deviation of how round the valve's edges are, share of full command.
-const ROUNDING_SIGMA: f64 = 0.004;
-/// An overlap below this share of full command is the rounded edge of a valve that has no overlap.
-const LEAST_OVERLAP: f64 = 0.007;
 /// How well a load is known that was read off the strokes, standard deviation as a share.
 const READ_OFF: f64 = 0.1;
 /// The spool's lag: effect and parameter; its frequency where nothing else is known, the fastest that the effect has, Hz; and its damping
@@ -234,7 +226,7 @@ impl Adopter<'_> {
             let fitted = self.fitted_to_the_log(&spec, offset_m, &command)?;
             (fitted.spec, fitted.values, Some(fitted.calibration), fitted.together)
         } else {
-            let open = self.unmeasured_edges(&spec);
+            let open = overlap::unmeasured(&self.described.spec);
             (spec, self.described.values.clone(), None, open)
         };
         let rest = calibration.as_ref().map(command_gap).or(asked.rest).unwrap_or(0.0);
@@ -378,7 +370,7 @@ impl Adopter<'_> {
     ) -> Result<Fitted, AdoptionError> {
         let mut best = self.with_unknown_force(self.fitted(spec, offset_m)?, offset_m, command)?;
         let mut spec = spec;
-        let (otherwise, words) = self.leaking_otherwise(spec);
+        let (otherwise, words) = overlap::leaking_otherwise(&self.described.spec, spec);
         if is_far(&best.calibration) {
             let leaking = self.with_unknown_force(self.fitted(&otherwise, offset_m)?, offset_m, command)?;
             if command_gap(&leaking.calibration) < MUCH_NEARER * command_gap(&best.calibration) {
@@ -430,21 +422,6 @@ impl Adopter<'_> {
         Ok(again)
     }
 
-    /// The same machine with a valve that leaks to one side where it does not, and the other way round.
-    fn leaking_otherwise(&self, spec: &MachineSpec) -> (MachineSpec, &'static str) {
-        let is_balanced = self.described.spec.effects.contains_key(OVERLAP.0);
-        let (times, words) = if is_balanced {
-            (1.0 / BALANCED, "leaks to one side, though it overlaps")
-        } else {
-            (BALANCED, "leaks alike to both sides, as an overlapped one does")
-        };
-        let mut otherwise = spec.clone();
-        if let Some(resistance) = otherwise.plant.get_mut(ONE_SIDED) {
-            *resistance *= times;
-        }
-        (otherwise, words)
-    }
-
     /// The machine with the flow curve that brings its command nearest to the log's, where a line stays further from it than its cycles from
     /// one another.
     fn along_a_curve(
@@ -485,11 +462,11 @@ impl Adopter<'_> {
                 calibration.posterior.directions(widened(&calibration), LARGEST_TOLERANCE / UNIFORM);
             let mut spec = learned(&calibration, &mut values);
             if !self.described.knows_overlap {
-                without_rounded_edges(&mut spec);
+                overlap::without_rounded_edges(&mut spec);
             }
             (spec, together)
         } else {
-            (spec.clone(), self.unmeasured_edges(spec))
+            (spec.clone(), overlap::unmeasured(&self.described.spec))
         };
         Ok(Fitted { spec, values, calibration, together, is_nearer, remarks: Vec::new() })
     }
@@ -523,10 +500,8 @@ impl Adopter<'_> {
         // No spool follows at once: without its lag a fit gives the valve another size and the supply another pressure.
         let lag = spec.effects.entry(LAG.0.into()).or_default();
         lag.entry(LAG.1.into()).or_insert(USUAL_LAG_HZ);
-        if spec.effects.contains_key(OVERLAP.0) || !self.described.knows_overlap {
-            effects.push(OVERLAP.0.to_owned());
-            let edges = spec.effects.entry(OVERLAP.0.into()).or_default();
-            edges.entry(ROUNDING.into()).or_insert(USUAL_ROUNDING);
+        if spec.effects.contains_key(overlap::LAW) || !self.described.knows_overlap {
+            effects.push(overlap::free(&mut spec));
         }
         effects.extend(flow_curve::free(&spec).into_keys());
         let known = self.known_beforehand(&spec);
@@ -549,36 +524,13 @@ impl Adopter<'_> {
             ("valve_bias.offset".to_owned(), 0.0, USUAL_NULL),
             (format!("{}.{}", LAG.0, LAG.1), USUAL_LAG_HZ, USUAL_LAG_HZ),
             (format!("{}.damping", LAG.0), USUAL_DAMPING.0, USUAL_DAMPING.1),
-            (format!("{}.{ROUNDING}", OVERLAP.0), USUAL_ROUNDING, ROUNDING_SIGMA),
         ];
         // A load that strokes betrayed is known as well as they tell it; that of a log may have any scale.
         let is_read_off = self.recording.log.get(Signal::Load).is_none();
         let of_load = is_read_off.then(|| ("load_scale".to_owned(), Known { value: 1.0, sigma: READ_OFF }));
         let of_parts = of_parts.map(|(key, value, sigma)| (key, Known { value, sigma }));
-        let stated = self.described.spec.effects.get(OVERLAP.0).and_then(|values| values.get(OVERLAP.1));
-        let of_overlap = stated.map(|value| {
-            let sigma = (STATED_OVERLAP.0 * value).hypot(STATED_OVERLAP.1);
-            (format!("{}.{}", OVERLAP.0, OVERLAP.1), Known { value: *value, sigma })
-        });
-        of_data_sheet.chain(of_parts).chain(of_overlap).chain(of_load).chain(flow_curve::free(spec)).collect()
-    }
-
-    /// What a log that nothing was fitted to leaves open of the valve's edges, each by itself.
-    fn unmeasured_edges(&self, spec: &MachineSpec) -> Vec<Direction> {
-        let known = self.known_beforehand(spec);
-        let open = |name: &'static str| {
-            let known = known.get(&format!("{}.{name}", OVERLAP.0))?;
-            let change = BTreeMap::from([(name.to_owned(), known.sigma)]);
-            Some(Direction {
-                effects: BTreeMap::from([(OVERLAP.0.to_owned(), change)]),
-                ..Direction::default()
-            })
-        };
-        if spec.effects.contains_key(OVERLAP.0) {
-            [OVERLAP.1, ROUNDING].into_iter().filter_map(open).collect()
-        } else {
-            Vec::new()
-        }
+        let of_edges = overlap::known(&self.described.spec);
+        of_data_sheet.chain(of_parts).chain(of_edges).chain(of_load).chain(flow_curve::free(spec)).collect()
     }
 
     /// The recorded cycles one after the other, each stroke in its planned place, under the plan's demand and load.
@@ -670,14 +622,6 @@ fn widened(calibration: &Calibration<MachineSpec>) -> f64 {
         gap / calibration.floor.get(*signal).copied().unwrap_or(*gap).max(1e-9)
     };
     calibration.gaps[1].iter().map(misfit).fold(1.0, f64::max).clamp(1.0, MOST_WIDENED)
-}
-
-/// Takes out an overlap that nobody stated and that is none.
-fn without_rounded_edges(spec: &mut MachineSpec) {
-    let half_width = spec.effects.get(OVERLAP.0).and_then(|values| values.get(OVERLAP.1));
-    if half_width.is_some_and(|half_width| *half_width < LEAST_OVERLAP) {
-        spec.effects.remove(OVERLAP.0);
-    }
 }
 
 /// Takes the fitted parameters and how well the log tells them; gives the machine without its leak.

@@ -7,6 +7,7 @@ pub mod duty_cycle;
 mod flow_curve;
 pub mod machine_data;
 pub mod open_loop;
+mod overlap;
 pub mod plant;
 pub mod process_force;
 pub mod recording;

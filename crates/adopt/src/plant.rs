@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use crate::flow_curve;
 use crate::machine_data::{ControllerKind, Datum, MachineData, Orientation, RatedOver};
+use crate::overlap;
 
 /// Pascals in a bar.
 const BAR_PA: f64 = 1e5;
@@ -22,20 +23,6 @@ const SERVO_RATED_BAR: f64 = 70.0;
 /// Speed gain of the position loop of the nominal press, 1/s, and its ratio of integral to proportional gain, 1/s.
 const USUAL_LOOP_PER_S: f64 = 9.3;
 const USUAL_INTEGRAL_PER_S: f64 = 1.25;
-/// A valve's overlap: law of the plant, its half width and how round its edges are.
-pub(crate) const OVERLAP: (&str, &str) = ("valve_overlap", "half_width");
-pub(crate) const ROUNDING: &str = "rounding";
-/// Rounding of the edges where nothing tells it, share of full command: some hundredths of a millimetre of a travel of millimetres.
-pub(crate) const USUAL_ROUNDING: f64 = 0.006;
-/// How much of a valve's overlap its controller usually jumps over.
-const JUMP_SHARE: f64 = 0.92;
-/// Widest overlap that the plant knows.
-const WIDEST_OVERLAP: f64 = 0.25;
-/// What the valve leaks from its inlet into the rod port alone. The lands of a spool leak alike into both ports and out of them, which moves
-/// no piston: without an overlap what is left of one side is part of the null, behind one it would push the piston through every hold.
-pub(crate) const ONE_SIDED: &str = "valve_rod_resistance_pa_s_per_m3";
-/// How much less than the article's an overlapped valve leaks to one side, until the log tells otherwise.
-pub(crate) const BALANCED: f64 = 1e3;
 /// Longest task period that is simulated, s: a slower log has every n-th command of a faster controller.
 const LONGEST_TASK_S: f64 = 4e-3;
 
@@ -385,17 +372,12 @@ impl Describer {
     fn valve(&mut self, data: &MachineData, logged: &LoggedSize) {
         let valve = &data.valve;
         let key = "valve_m3_per_s_sqrt_pa";
-        // A jump over the whole overlap makes a loop hunt, so that it is set a little short of it.
-        let behind_the_jump = data
-            .controller
-            .dead_band_compensation_percent
-            .map(|percent| percent.value() / 100.0 / JUMP_SHARE);
-        let stated = data.valve.overlap_percent.map(|percent| percent.value() / 100.0).or(behind_the_jump);
-        let overlap = stated.unwrap_or(0.0).clamp(0.0, WIDEST_OVERLAP);
+        let stated = overlap::stated(data).unwrap_or(0.0);
+        let half_width = stated.clamp(0.0, overlap::WIDEST);
         match (valve.rated_flow_lpm, logged.speed_m_per_s) {
             (Some(flow), _) => {
                 // The rated flow is that of full command, which opens an overlapped valve by what is left beyond the overlap.
-                let to_si = LPM_M3_PER_S / rated_land_pa(data).sqrt() / (1.0 - overlap);
+                let to_si = LPM_M3_PER_S / rated_land_pa(data).sqrt() / (1.0 - half_width);
                 self.known(key, flow, to_si, tolerance::VALVE);
                 if valve.rated_at_bar.is_none() {
                     self.remarks.push(format!(
@@ -416,15 +398,14 @@ impl Describer {
                 self.usual(key, scale * nominal.valve_m3_per_s_sqrt_pa);
             }
         }
-        if overlap > 0.0 {
-            let law = [(OVERLAP.1, overlap), (ROUNDING, USUAL_ROUNDING)];
-            self.spec.effects.insert(OVERLAP.0.into(), law.map(|(name, value)| (name.into(), value)).into());
+        if half_width > 0.0 {
+            self.spec.effects.insert(overlap::LAW.into(), overlap::law(half_width));
         }
-        if let Some(stated) = stated.filter(|stated| *stated > WIDEST_OVERLAP) {
+        if stated > half_width {
             self.remarks.push(format!(
                 "an overlap of {:.0} % is beyond the plant's widest; {:.0} % is taken",
                 100.0 * stated,
-                100.0 * WIDEST_OVERLAP
+                100.0 * half_width
             ));
         }
         if let Some(curve) = flow_curve::stated(valve).filter(|curve| !curve.is_empty()) {
@@ -472,8 +453,8 @@ impl Describer {
             "valve_return_resistance_pa_s_per_m3",
             thick * nominal.valve_return_resistance_pa_s_per_m3 / flow,
         );
-        let balance = if self.spec.effects.contains_key(OVERLAP.0) { BALANCED } else { 1.0 };
-        self.usual(ONE_SIDED, balance * thick * nominal.valve_rod_resistance_pa_s_per_m3 / flow);
+        let balance = if self.spec.effects.contains_key(overlap::LAW) { overlap::BALANCED } else { 1.0 };
+        self.usual(overlap::ONE_SIDED, balance * thick * nominal.valve_rod_resistance_pa_s_per_m3 / flow);
         self.set("bulk_modulus_pa", nominal.bulk_modulus_pa, Origin::Default, 0.3);
     }
 
@@ -593,10 +574,10 @@ mod tests {
         for (data, half_width) in [
             ("overlap_percent = 12\n", 0.12),
             ("overlap_percent = 12\n[controller]\ndead_band_compensation_percent = 11\n", 0.12),
-            ("[controller]\ndead_band_compensation_percent = 11\n", 0.11 / JUMP_SHARE),
+            ("[controller]\ndead_band_compensation_percent = 11\n", 0.11 / 0.92),
         ] {
             let spec = of(data);
-            assert!((spec.effects[OVERLAP.0][OVERLAP.1] - half_width).abs() < 1e-12, "{data}");
+            assert!((spec.effects[overlap::LAW]["half_width"] - half_width).abs() < 1e-12, "{data}");
             assert!((at_full(&spec) / lapped - 1.0).abs() < 1e-3, "{data}");
             assert!(spec.plant.valve_rod_resistance_pa_s_per_m3 > 100.0 * one_sided, "{data}");
         }
