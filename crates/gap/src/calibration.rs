@@ -64,7 +64,9 @@ pub fn calibrate<A: Diagnosable>(
     spec.calibrated(record, settings)
 }
 
-pub(crate) fn calibrate_axis<A: SimulatedAxis>(
+/// Reached by `diagnosable!` alone.
+#[doc(hidden)]
+pub fn calibrate_axis<A: SimulatedAxis>(
     record: &Record,
     spec: &A,
     settings: &CalibrationSettings,

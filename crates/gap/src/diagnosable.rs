@@ -41,11 +41,11 @@ macro_rules! diagnosable {
     ($axis:ty) => {
         impl $crate::Diagnosable for $axis {
             fn record(&self, log: &$crate::Log) -> Result<$crate::Record, $crate::RecordError> {
-                $crate::diagnosable::generic::record(self, log)
+                $crate::Record::of_log(log, self)
             }
 
             fn record_of_runs(&self, runs: &[$crate::Run]) -> Result<$crate::Record, $crate::RecordError> {
-                $crate::diagnosable::generic::record_of_runs(self, runs)
+                $crate::Record::of_runs_on(runs, self)
             }
 
             fn diagnosed(
@@ -54,7 +54,7 @@ macro_rules! diagnosable {
                 settings: &$crate::DiagnosisSettings,
                 tell: &mut dyn FnMut(usize),
             ) -> ($crate::Diagnosis, Self) {
-                $crate::diagnosable::generic::diagnosed(self, record, settings, tell)
+                $crate::diagnosis::diagnose_axis(record, self, settings, tell)
             }
 
             fn calibrated(
@@ -62,50 +62,12 @@ macro_rules! diagnosable {
                 record: &$crate::Record,
                 settings: &$crate::CalibrationSettings,
             ) -> $crate::Calibration<Self> {
-                $crate::diagnosable::generic::calibrated(self, record, settings)
+                $crate::calibration::calibrate_axis(record, self, settings)
             }
 
             fn nominal_gap(&self, record: &$crate::Record) -> std::collections::BTreeMap<&'static str, f64> {
-                $crate::diagnosable::generic::nominal_gap(self, record)
+                $crate::diagnosis::nominal_gap_of_axis(record, self)
             }
         }
     };
-}
-
-/// What [`diagnosable!`](crate::diagnosable!) compiles for an axis.
-#[doc(hidden)]
-pub mod generic {
-    use super::{
-        BTreeMap, Calibration, CalibrationSettings, Diagnosis, DiagnosisSettings, Log, Record, RecordError,
-        Run, SimulatedAxis,
-    };
-
-    pub fn record<A: SimulatedAxis>(axis: &A, log: &Log) -> Result<Record, RecordError> {
-        Record::of_log(log, axis)
-    }
-
-    pub fn record_of_runs<A: SimulatedAxis>(axis: &A, runs: &[Run]) -> Result<Record, RecordError> {
-        Record::of_runs_on(runs, axis)
-    }
-
-    pub fn diagnosed<A: SimulatedAxis>(
-        axis: &A,
-        record: &Record,
-        settings: &DiagnosisSettings,
-        tell: &mut dyn FnMut(usize),
-    ) -> (Diagnosis, A) {
-        crate::diagnosis::diagnose_axis(record, axis, settings, tell)
-    }
-
-    pub fn calibrated<A: SimulatedAxis>(
-        axis: &A,
-        record: &Record,
-        settings: &CalibrationSettings,
-    ) -> Calibration<A> {
-        crate::calibration::calibrate_axis(record, axis, settings)
-    }
-
-    pub fn nominal_gap<A: SimulatedAxis>(axis: &A, record: &Record) -> BTreeMap<&'static str, f64> {
-        crate::diagnosis::nominal_gap_of_axis(record, axis)
-    }
 }

@@ -79,7 +79,9 @@ pub fn diagnose<A: Diagnosable>(
     spec.diagnosed(record, settings, tell)
 }
 
-pub(crate) fn diagnose_axis<A: SimulatedAxis>(
+/// Reached by `diagnosable!` alone.
+#[doc(hidden)]
+pub fn diagnose_axis<A: SimulatedAxis>(
     record: &Record,
     spec: &A,
     settings: &DiagnosisSettings,
@@ -214,10 +216,9 @@ pub fn nominal_gap<A: Diagnosable>(record: &Record, spec: &A) -> BTreeMap<&'stat
     spec.nominal_gap(record)
 }
 
-pub(crate) fn nominal_gap_of_axis<A: SimulatedAxis>(
-    record: &Record,
-    spec: &A,
-) -> BTreeMap<&'static str, f64> {
+/// Reached by `diagnosable!` alone.
+#[doc(hidden)]
+pub fn nominal_gap_of_axis<A: SimulatedAxis>(record: &Record, spec: &A) -> BTreeMap<&'static str, f64> {
     let (fitted, held_out) = split(record);
     let problem = Problem::new(record, &fitted);
     let nominal = Fit::of_wear(&problem, spec, DiagnosisSettings::default().iterations);

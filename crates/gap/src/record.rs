@@ -254,7 +254,8 @@ impl Record {
         spec.record(log)
     }
 
-    pub(crate) fn of_log<A: SimulatedAxis>(log: &Log, spec: &A) -> Result<Self, RecordError> {
+    #[doc(hidden)]
+    pub fn of_log<A: SimulatedAxis>(log: &Log, spec: &A) -> Result<Self, RecordError> {
         check(log, spec)?;
         let mut notes = Vec::new();
         let ticks = (spec.duty_cycle().period_s / spec.tick_s()).round() as usize;

@@ -84,7 +84,8 @@ impl Record {
         spec.record_of_runs(runs)
     }
 
-    pub(crate) fn of_runs_on<A: SimulatedAxis>(runs: &[Run], spec: &A) -> Result<Self, RecordError> {
+    #[doc(hidden)]
+    pub fn of_runs_on<A: SimulatedAxis>(runs: &[Run], spec: &A) -> Result<Self, RecordError> {
         let mut notes = Vec::new();
         let mut filled = Vec::with_capacity(runs.len());
         for run in runs {
