@@ -369,21 +369,21 @@ impl Adopter<'_> {
         command: &[f64],
     ) -> Result<Fitted, AdoptionError> {
         let mut best = self.with_unknown_force(self.fitted(spec, offset_m)?, offset_m, command)?;
-        let mut spec = spec;
-        let (otherwise, words) = overlap::leaking_otherwise(&self.described.spec, spec);
+        let mut spec = spec.clone();
         if is_far(&best.calibration) {
+            let (otherwise, words) = overlap::leaking_otherwise(&self.described.spec, &spec);
             let leaking = self.with_unknown_force(self.fitted(&otherwise, offset_m)?, offset_m, command)?;
-            if command_gap(&leaking.calibration) < MUCH_NEARER * command_gap(&best.calibration) {
-                (best, spec) = (leaking, &otherwise);
+            if leaking.is_much_nearer_than(&best) {
+                (best, spec) = (leaking, otherwise);
                 best.remarks
                     .push(format!("the holds show that the valve {words}: check valve.overlap_percent"));
             }
         }
         if !self.described.knows_curve
-            && let Some(bent) = self.along_a_curve(spec, offset_m, &best)?
+            && let Some(bent) = self.along_a_curve(&spec, offset_m, &best)?
         {
             let bent = self.with_unknown_force(bent, offset_m, command)?;
-            if command_gap(&bent.calibration) < MUCH_NEARER * command_gap(&best.calibration) {
+            if bent.is_much_nearer_than(&best) {
                 best = bent;
             }
         }
@@ -501,7 +501,8 @@ impl Adopter<'_> {
         let lag = spec.effects.entry(LAG.0.into()).or_default();
         lag.entry(LAG.1.into()).or_insert(USUAL_LAG_HZ);
         if spec.effects.contains_key(overlap::LAW) || !self.described.knows_overlap {
-            effects.push(overlap::free(&mut spec));
+            overlap::free(&mut spec);
+            effects.push(overlap::LAW.to_owned());
         }
         effects.extend(flow_curve::free(&spec).into_keys());
         let known = self.known_beforehand(&spec);
@@ -598,6 +599,13 @@ struct Fitted {
     is_nearer: bool,
     /// What it took beside its parameters, one line each.
     remarks: Vec<String>,
+}
+
+impl Fitted {
+    /// Whether another kind of valve explains the log much better.
+    fn is_much_nearer_than(&self, usual: &Fitted) -> bool {
+        command_gap(&self.calibration) < MUCH_NEARER * command_gap(&usual.calibration)
+    }
 }
 
 /// How far the calibrated simulation's command is from the log's on held-out cycles, over its range.

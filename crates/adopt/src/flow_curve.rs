@@ -104,20 +104,10 @@ pub(crate) fn stated(valve: &ValveData) -> Option<BTreeMap<String, f64>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::adoption::{Adoption, adopt};
-    use crate::duty_cycle::find_duty_cycle;
     use crate::machine_data::MachineData;
-    use crate::test_recordings::{press, recorded};
+    use crate::test_recordings::{adopted, press};
 
-    const DATA: &str = "[cylinder]\nbore_mm = 63\nrod_mm = 36\nstroke_mm = 500\nmoved_mass_kg = 250\n\
-                        [supply]\npump_flow_lpm = 90\nrelief_bar = 160\nreturn_bar = 1\n\
-                        [valve]\nrated_flow_lpm = 96\nrated_at_bar = 70\noverlap_percent = 0\n";
-
-    fn adopted(truth: &MachineSpec, data: &str) -> Adoption {
-        let recording = recorded(truth);
-        let found = find_duty_cycle(&recording, 0.0).unwrap();
-        adopt(&recording, &found, &MachineData::from_toml(data).unwrap()).unwrap()
-    }
+    const DATA: &str = "overlap_percent = 0\n";
 
     /// Half of a line's slope up to 40 % of the command: what the strokes show, a hold's leak is read by.
     #[test]

@@ -36,9 +36,8 @@ pub(crate) const BALANCED: f64 = 1e3;
 
 /// Half the overlap as the data tell it, share of full command: from the data sheet, or behind the jump of the controller.
 pub(crate) fn stated(data: &MachineData) -> Option<f64> {
-    let jump = data.controller.dead_band_compensation_percent.map(|percent| percent.value() / JUMP_SHARE);
-    let percent = data.valve.overlap_percent.map(|percent| percent.value()).or(jump)?;
-    Some(percent / 100.0)
+    let told = data.overlap()?;
+    Some(if data.valve.overlap_percent.is_some() { told } else { told / JUMP_SHARE })
 }
 
 /// The law's values of an overlap, share of full command.
@@ -48,22 +47,30 @@ pub(crate) fn law(half_width: f64) -> BTreeMap<String, f64> {
         .into()
 }
 
-/// Frees the overlap in a fit, with edges as usual where the machine has none yet.
-pub(crate) fn free(spec: &mut MachineSpec) -> String {
+/// Gives a machine whose overlap is to be fitted edges as usual, where it has none yet.
+pub(crate) fn free(spec: &mut MachineSpec) {
     let edges = spec.effects.entry(LAW.into()).or_default();
     edges.entry(ROUNDING.into()).or_insert(USUAL_ROUNDING.0);
-    LAW.to_owned()
 }
 
-/// What is known of the edges before a log tells of them; `described` is the machine as its data describe it.
-pub(crate) fn known(described: &MachineSpec) -> BTreeMap<String, Known> {
+/// Half the overlap that a machine has, share of full command.
+pub(crate) fn half_width(spec: &MachineSpec) -> Option<f64> {
+    spec.effects.get(LAW).and_then(|edges| edges.get(HALF_WIDTH)).copied()
+}
+
+/// What is known of the edges before a log tells of them, by parameter; `described` is the machine as its data describe it.
+fn edges(described: &MachineSpec) -> Vec<(&'static str, Known)> {
     let (value, sigma) = USUAL_ROUNDING;
-    let mut known = BTreeMap::from([(format!("{LAW}.{ROUNDING}"), Known { value, sigma })]);
-    if let Some(value) = described.effects.get(LAW).and_then(|edges| edges.get(HALF_WIDTH)).copied() {
-        let sigma = (STATED.0 * value).hypot(STATED.1);
-        known.insert(format!("{LAW}.{HALF_WIDTH}"), Known { value, sigma });
+    let mut edges = vec![(ROUNDING, Known { value, sigma })];
+    if let Some(value) = half_width(described) {
+        edges.push((HALF_WIDTH, Known { value, sigma: (STATED.0 * value).hypot(STATED.1) }));
     }
-    known
+    edges
+}
+
+/// The same by key.
+pub(crate) fn known(described: &MachineSpec) -> impl Iterator<Item = (String, Known)> {
+    edges(described).into_iter().map(|(name, known)| (format!("{LAW}.{name}"), known))
 }
 
 /// What a log that nothing was fitted to leaves open of the edges, each by itself.
@@ -71,18 +78,16 @@ pub(crate) fn unmeasured(described: &MachineSpec) -> Vec<Direction> {
     if !described.effects.contains_key(LAW) {
         return Vec::new();
     }
-    let direction = |(key, known): (String, Known)| {
-        let (_, name) = key.split_once('.')?;
+    let direction = |(name, known): (&str, Known)| {
         let change = BTreeMap::from([(name.to_owned(), known.sigma)]);
-        Some(Direction { effects: BTreeMap::from([(LAW.to_owned(), change)]), ..Direction::default() })
+        Direction { effects: BTreeMap::from([(LAW.to_owned(), change)]), ..Direction::default() }
     };
-    known(described).into_iter().filter_map(direction).collect()
+    edges(described).into_iter().map(direction).collect()
 }
 
 /// Takes out an overlap that nobody stated and that is none.
 pub(crate) fn without_rounded_edges(spec: &mut MachineSpec) {
-    let half_width = spec.effects.get(LAW).and_then(|edges| edges.get(HALF_WIDTH));
-    if half_width.is_some_and(|half_width| *half_width < LEAST) {
+    if half_width(spec).is_some_and(|half_width| half_width < LEAST) {
         spec.effects.remove(LAW);
     }
 }
@@ -104,14 +109,10 @@ pub(crate) fn leaking_otherwise(described: &MachineSpec, spec: &MachineSpec) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::adoption::{Adoption, adopt};
-    use crate::duty_cycle::find_duty_cycle;
-    use crate::test_recordings::{press, recorded};
+    use crate::adoption::Adoption;
+    use crate::test_recordings::{adopted, press};
 
-    const DATA: &str = "[cylinder]\nbore_mm = 63\nrod_mm = 36\nstroke_mm = 500\nmoved_mass_kg = 250\n\
-                        [supply]\npump_flow_lpm = 90\nrelief_bar = 160\nreturn_bar = 1\n\
-                        [valve]\nrated_flow_lpm = 96\nrated_at_bar = 70\noverlap_percent = 9\n\
-                        [controller]\ndead_band_compensation_percent = 7.5\n";
+    const DATA: &str = "overlap_percent = 9\n[controller]\ndead_band_compensation_percent = 7.5\n";
 
     /// The nominal press with a valve of the same rated flow that overlaps by 8 % with round edges, and a P controller that jumps over most
     /// of it.
@@ -125,12 +126,6 @@ mod tests {
         spec
     }
 
-    fn adopted(truth: &MachineSpec) -> Adoption {
-        let recording = recorded(truth);
-        let found = find_duty_cycle(&recording, 0.0).unwrap();
-        adopt(&recording, &found, &MachineData::from_toml(DATA).unwrap()).unwrap()
-    }
-
     fn is_told_to_leak_otherwise(adoption: &Adoption) -> bool {
         adoption.remarks.iter().any(|remark| remark.contains("leaks to one side"))
     }
@@ -138,7 +133,7 @@ mod tests {
     /// A data sheet that is off by a hundredth is corrected by the holds.
     #[test]
     fn overlap_and_rounding_are_found() {
-        let adoption = adopted(&overlapped());
+        let adoption = adopted(&overlapped(), DATA);
         let found = &adoption.spec.effects[LAW];
         assert!((found[HALF_WIDTH] - 0.08).abs() < 0.004, "{found:?}");
         assert!((found[ROUNDING] - 0.009).abs() < 0.003, "{found:?}");
@@ -152,7 +147,7 @@ mod tests {
     fn a_leak_to_one_side_is_told() {
         let mut truth = overlapped();
         truth.plant.valve_rod_resistance_pa_s_per_m3 /= BALANCED;
-        let adoption = adopted(&truth);
+        let adoption = adopted(&truth, DATA);
         assert!(is_told_to_leak_otherwise(&adoption), "{:?}", adoption.remarks);
         let one_sided = adoption.spec.plant.valve_rod_resistance_pa_s_per_m3;
         assert!(one_sided < 2.0 * truth.plant.valve_rod_resistance_pa_s_per_m3, "{one_sided}");

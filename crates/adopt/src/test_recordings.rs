@@ -5,6 +5,9 @@ use seepd_signals::Signal;
 use seepd_sim::noise::Noise;
 use seepd_sim::{Input, Machine, MachineSpec, Schedule};
 
+use crate::adoption::{Adoption, adopt};
+use crate::duty_cycle::find_duty_cycle;
+use crate::machine_data::MachineData;
 use crate::recording::Recording;
 
 pub(crate) const TICK_S: f64 = 1e-3;
@@ -37,4 +40,17 @@ pub(crate) fn recorded(spec: &MachineSpec) -> Recording {
         values.drain(..TICKS_OF_CYCLE.min(values.len()));
     }
     Recording { rate_hz: 1000.0, log, beyond: 0 }
+}
+
+/// The nominal press's data sheet; what follows it is of the valve.
+const DATA_SHEET: &str = "[cylinder]\nbore_mm = 63\nrod_mm = 36\nstroke_mm = 500\nmoved_mass_kg = 250\n\
+                          [supply]\npump_flow_lpm = 90\nrelief_bar = 160\nreturn_bar = 1\n\
+                          [valve]\nrated_flow_lpm = 96\nrated_at_bar = 70\n";
+
+/// A machine adopted from its recording and the nominal press's data sheet with more of its valve.
+pub(crate) fn adopted(truth: &MachineSpec, of_valve: &str) -> Adoption {
+    let recording = recorded(truth);
+    let found = find_duty_cycle(&recording, 0.0).unwrap();
+    let data = MachineData::from_toml(&format!("{DATA_SHEET}{of_valve}")).unwrap();
+    adopt(&recording, &found, &data).unwrap()
 }
