@@ -460,8 +460,9 @@ impl Describer {
 
     fn speed_fits(&self, data: &MachineData, logged: &LoggedSize) -> Result<(), DataError> {
         let p = &self.spec.plant;
-        let possible =
-            speed_of(p.cap_area_m2, p.annulus_area_m2, p.relief_pressure_pa, p.valve_m3_per_s_sqrt_pa);
+        let opening = 1.0 - overlap::half_width(&self.spec).unwrap_or(0.0);
+        let full = opening * p.valve_m3_per_s_sqrt_pa;
+        let possible = speed_of(p.cap_area_m2, p.annulus_area_m2, p.relief_pressure_pa, full);
         match logged.speed_m_per_s {
             Some(logged_m_per_s)
                 if data.valve.rated_flow_lpm.is_some()
@@ -597,6 +598,20 @@ mod tests {
         let faster = LoggedSize { speed_m_per_s: Some(5.0), ..slow };
         let speed = refused("[cylinder]\nbore_mm = 63\n[valve]\nrated_flow_lpm = 10\n", faster);
         assert!(speed.contains("5.000 m/s"), "{speed}");
+        // What a valve passes at full command is its rated flow, with an overlap too.
+        let valve = "[cylinder]\nbore_mm = 63\n[valve]\nrated_flow_lpm = 10\n";
+        let plain = describe(&MachineData::from_toml(valve).unwrap(), &slow).unwrap().spec.plant;
+        let possible = speed_of(
+            plain.cap_area_m2,
+            plain.annulus_area_m2,
+            plain.relief_pressure_pa,
+            plain.valve_m3_per_s_sqrt_pa,
+        );
+        let beyond = LoggedSize { speed_m_per_s: Some(1.02 * SPEED_ROOM.0 * possible), ..slow };
+        for overlap in ["", "overlap_percent = 20\n"] {
+            let speed = refused(&format!("{valve}{overlap}"), beyond);
+            assert!(speed.contains("m/s"), "{speed}");
+        }
         assert!(refused("[valve]\nrated_flow_lpm = -3\n", slow).contains("must be positive"));
     }
 }
