@@ -60,12 +60,12 @@ pub(crate) fn half_width(spec: &MachineSpec) -> Option<f64> {
 
 /// What is known of the edges before a log tells of them, by parameter; `described` is the machine as its data describe it.
 fn edges(described: &MachineSpec) -> Vec<(&'static str, Known)> {
+    let of_sheet = |value: f64| {
+        let sigma = (STATED.0 * value).hypot(STATED.1);
+        (HALF_WIDTH, Known { value, sigma })
+    };
     let (value, sigma) = USUAL_ROUNDING;
-    let mut edges = vec![(ROUNDING, Known { value, sigma })];
-    if let Some(value) = half_width(described) {
-        edges.push((HALF_WIDTH, Known { value, sigma: (STATED.0 * value).hypot(STATED.1) }));
-    }
-    edges
+    half_width(described).map(of_sheet).into_iter().chain([(ROUNDING, Known { value, sigma })]).collect()
 }
 
 /// The same by key.
