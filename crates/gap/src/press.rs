@@ -315,26 +315,21 @@ fn softer_at_the_inlet(machine: &MachineSpec) -> MachineSpec {
 /// Largest share of the supply's volume that is moved: with less of it left its relief valve chatters.
 const LARGEST_MOVE: f64 = 0.2;
 
-/// Steps in a period that keep a machine stable: half of its file's where its eigenvalues allow it, all of them with effects that are stiff
-/// in themselves.
+/// Steps in a period that keep a machine stable: half of its file's where its eigenvalues allow it, with friction's around standstill, and
+/// all of them with effects that are stiff in themselves.
 fn least_steps(machine: &MachineSpec) -> usize {
     if machine.effects.keys().any(|key| STIFF.contains(&key.as_str())) {
         return machine.stable_steps();
     }
     let mut fewer = machine.clone();
+    fewer.plant.viscous_friction_n_s_per_m += effects::friction_at_standstill_n_s_per_m(machine);
     fewer.controller.steps_per_period = machine.controller.steps_per_period.div_ceil(2);
     fewer.stable_steps()
 }
 
-/// Effects that are stiff in themselves: friction at a small mass, a structure's high mode.
-const STIFF: [&str; 6] = [
-    "coulomb_friction",
-    "stribeck_friction",
-    "pressure_friction",
-    "structure_compliance",
-    "learned_friction_over_position",
-    "learned_friction_over_pressure",
-];
+/// Effects that are stiff in themselves: a structure's high mode, friction of any shape.
+const STIFF: [&str; 3] =
+    ["structure_compliance", "learned_friction_over_position", "learned_friction_over_pressure"];
 
 pub(crate) fn of(record: &SimulatedSignals<Lanes>, signal: Signal) -> Lanes {
     match signal {
@@ -538,6 +533,9 @@ mod tests {
         let effects = [
             "",
             "coulomb_friction.force_n=1500",
+            "coulomb_friction.force_n=5000",
+            "stribeck_friction.static_force_n=5000",
+            "pressure_friction.coefficient=0.1",
             "valve_rate_limit.rate_per_s=0.4",
             "accumulator.volume_m3=1e-3",
             "command_delay.delay_s=0.0051",

@@ -1,12 +1,12 @@
-//! Cost of one RK4 step of the plant, scalar and per lane of the batched path.
+//! Cost of one RK4 step of the plant, scalar and per lane of the batched path, there also with each effect of the catalogue.
 //!
-//! `items` are RK4 steps of one machine: the printed rate is comparable between the two.
+//! `items` are RK4 steps of one machine: the printed rate is comparable among them.
 
 use divan::counter::ItemsCount;
 use seepd_sim::batch::{Job, run_lanes};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::real::LANES;
-use seepd_sim::{Input, Machine, MachineSpec, Schedule};
+use seepd_sim::{Input, Machine, MachineSpec, Schedule, effects};
 
 const TICKS: u64 = 10_000;
 
@@ -29,9 +29,25 @@ fn scalar_cycle(bencher: divan::Bencher<'_, '_>) {
 
 #[divan::bench(sample_count = 10)]
 fn batched_cycle(bencher: divan::Bencher<'_, '_>) {
+    batched(bencher, MachineSpec::default());
+}
+
+#[divan::bench(sample_count = 4, args = effects::ALL.iter().map(|effect| effect.key()))]
+fn batched_cycle_with(bencher: divan::Bencher<'_, '_>, effect: &str) {
+    let mut spec = MachineSpec::default();
+    let parameters = effects::find(effect).map_or(&[][..], |effect| effect.parameters());
+    let values = parameters.iter().map(|parameter| {
+        let (low, high) = parameter.range;
+        (parameter.name.to_owned(), low + 0.1 * (high - low))
+    });
+    spec.effects.insert(effect.to_owned(), values.collect());
+    batched(bencher, spec);
+}
+
+fn batched(bencher: divan::Bencher<'_, '_>, spec: MachineSpec) {
     let jobs: Vec<Job> = (0..LANES)
         .map(|lane| Job {
-            spec: MachineSpec::default(),
+            spec: spec.clone(),
             runs: vec![CycleRun::with_leak(1e-6 * lane as f64)],
             start_tick: 0,
             skip_ticks: 0,

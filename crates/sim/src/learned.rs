@@ -13,6 +13,7 @@ use crate::effects::{
     Constants, Effect, EffectInfo, Equation, Law, Moment, Openings, Parameter, Sensing, Substep, Terms,
 };
 use crate::real::{Lanes, Real};
+use crate::simd::law_in_lanes;
 
 /// Where a learned law acts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -356,7 +357,7 @@ impl Effect for LearnedLaw {
         Box::new(Acting::new(self, values))
     }
     fn lanes(&self, values: &[Lanes]) -> Box<dyn Law<Lanes>> {
-        Box::new(Acting::new(self, values))
+        law_in_lanes(Acting::new(self, values))
     }
     fn is_neutral(&self, values: &[f64]) -> bool {
         values[ENDS..].iter().all(|value| *value == 0.0)
@@ -380,6 +381,7 @@ impl<T: Real> Curve<T> {
         Curve { from, per_unit: T::splat((knots - 1) as f64) / width, values: values[ENDS..].to_vec() }
     }
 
+    #[inline(always)]
     fn at(&self, argument: T) -> T {
         let last = T::splat((self.values.len() - 1) as f64);
         let place = ((argument - self.from) * self.per_unit).max(T::splat(0.0)).min(last);
@@ -412,6 +414,7 @@ impl<T: Real> Acting<T> {
     }
 
     /// The curve at what the plant's equations know.
+    #[inline(always)]
     fn in_the_plant(&self, moment: &Moment<'_, T>) -> T {
         let state = moment.state;
         self.curve.at(match self.argument {
@@ -448,6 +451,7 @@ impl<T: Real> Law<T> for Acting<T> {
         if self.site == Site::Controller { error + self.curve.at(error) } else { error }
     }
 
+    #[inline(always)]
     fn sense(&self, memory: &mut [T], position: T, sensing: &Sensing<T>) -> T {
         if self.site != Site::Sensor {
             return position;
@@ -461,16 +465,19 @@ impl<T: Real> Law<T> for Acting<T> {
         position + self.curve.at((position - before) / sensing.period)
     }
 
+    #[inline(always)]
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         if self.site == Site::Spool { command + self.curve.at(command) } else { command }
     }
 
+    #[inline(always)]
     fn open(&self, moment: &Moment<'_, T>, openings: &mut Openings<T>) {
         if self.site == Site::RodPort {
             openings.rod = openings.rod * (T::splat(1.0) + self.in_the_plant(moment)).max(T::splat(0.0));
         }
     }
 
+    #[inline(always)]
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         match self.site {
             Site::Force => terms.force += self.in_the_plant(moment),

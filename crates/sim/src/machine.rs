@@ -84,6 +84,8 @@ pub struct Machine<T: Real> {
     laws: Vec<Box<dyn Law<T>>>,
     /// Whether a law acts within the balances.
     in_balances: bool,
+    /// Whether a law softens volumes.
+    softens: bool,
     /// Whether a law has states of its own.
     has_states: bool,
     /// Whether a law changes the control error.
@@ -150,6 +152,7 @@ impl<T: Real> Machine<T> {
             plant,
             pid,
             in_balances: laws.iter().any(|law| law.is_in_balances()),
+            softens: laws.iter().any(|law| law.softens()),
             has_states: laws.iter().any(|law| law.has_states()),
             corrects_errors,
             laws,
@@ -294,9 +297,9 @@ impl<T: Real> Machine<T> {
             let load_end = load + load_step;
             let drive = Drive { u, load, load_end, a_leak: input.a_leak, at: input.at };
             let acting = if self.in_balances {
-                ActingLaws { laws: &self.laws, memory: &state.memory }
+                ActingLaws { laws: &self.laws, memory: &state.memory, soften: self.softens }
             } else {
-                ActingLaws { laws: &[], memory: &[] }
+                ActingLaws::NONE
             };
             let next = self.plant.rk4(&state.plant, &drive, dt, &acting);
             if self.has_states {

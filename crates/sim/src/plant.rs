@@ -252,12 +252,19 @@ impl<T: Real> Drive<T> {
 pub(crate) struct ActingLaws<'a, T: Real> {
     pub(crate) laws: &'a [Box<dyn Law<T>>],
     pub(crate) memory: &'a [Vec<T>],
+    /// Whether one of them softens volumes.
+    pub(crate) soften: bool,
+}
+
+impl<T: Real> ActingLaws<'_, T> {
+    /// Those of a plant without any.
+    pub(crate) const NONE: Self = ActingLaws { laws: &[], memory: &[], soften: false };
 }
 
 /// `k · dp / (dp² + dp_t²)^¼`: the signed square-root law, linear below `dp_t`.
 #[inline(always)]
 pub(crate) fn sq<T: Real>(k: T, dp: T, dp_t_squared: T) -> T {
-    k * dp / (dp * dp + dp_t_squared).sqrt().sqrt()
+    k * dp * (dp * dp + dp_t_squared).reciprocal_fourth_root()
 }
 
 impl<T: Real> Plant<T> {
@@ -383,11 +390,15 @@ impl<T: Real> Plant<T> {
     /// Rates of the six states from the balances.
     #[inline(always)]
     fn rates_of(&self, state: &State<T>, terms: &Terms<T>) -> State<T> {
+        // One division for both chambers.
+        let v_1 = self.v_01 + self.a_cap * state.x;
+        let v_2 = self.v_02 + self.a_ann * (self.stroke - state.x);
+        let beta_over_both = self.beta / (v_1 * v_2);
         State {
             p_s: self.beta_over_v_s * terms.supply_flow,
             p_3: self.beta_over_v_3 * terms.inlet_flow,
-            p_1: self.beta * terms.cap_flow / (self.v_01 + self.a_cap * state.x),
-            p_2: self.beta * terms.rod_flow / (self.v_02 + self.a_ann * (self.stroke - state.x)),
+            p_1: beta_over_both * v_2 * terms.cap_flow,
+            p_2: beta_over_both * v_1 * terms.rod_flow,
             x: state.v,
             v: self.held_by_stops(state.x, self.mass_inverse * terms.force),
         }
@@ -409,6 +420,9 @@ impl<T: Real> Plant<T> {
             return self.rates_of(moment.state, &self.balances(moment, &self.planned_openings(moment.spool)));
         }
         let rates = self.rates_of(moment.state, &self.balances_with(moment, acting));
+        if !acting.soften {
+            return rates;
+        }
         let one = T::splat(1.0);
         let mut softening = Softening { supply: one, inlet: one, cap: one, rod: one };
         for law in acting.laws {
@@ -433,7 +447,7 @@ impl<T: Real> Plant<T> {
         memory: &mut [Vec<T>],
     ) {
         let moment = drive.moment(self, state, drive.load);
-        let terms = self.balances_with(&moment, &ActingLaws { laws, memory });
+        let terms = self.balances_with(&moment, &ActingLaws { laws, memory, soften: false });
         for (law, memory) in laws.iter().zip(memory) {
             law.advance(memory, &moment, &terms, dt);
         }
@@ -458,10 +472,11 @@ impl<T: Real> Plant<T> {
         let load_mid = (drive.load + drive.load_end) * T::splat(0.5);
         // In a loop, so that the rates are compiled once for each instruction set.
         let (mut at, mut rates) = (*state, [*state; 4]);
-        let stages = [(drive.load, half), (load_mid, half), (load_mid, dt), (drive.load_end, dt)];
-        for (rate, (load, next)) in rates.iter_mut().zip(stages) {
-            *rate = self.rates_at(&at, load, drive, acting);
-            at = state.advanced(rate, next);
+        let loads = [drive.load, load_mid, load_mid, drive.load_end];
+        let lengths = [half, half, dt, dt];
+        for ((rate, load), length) in rates.iter_mut().zip(&loads).zip(&lengths) {
+            *rate = self.rates_at(&at, *load, drive, acting);
+            at = state.advanced(rate, *length);
         }
         let [k1, k2, k3, k4] = rates;
         let two = T::splat(2.0);
@@ -478,7 +493,7 @@ impl<T: Real> Plant<T> {
 
     /// One RK4 step of the plant alone, without effects; for tests and benches of the equations.
     pub fn step(&self, state: &State<T>, drive: &Drive<T>, dt: T) -> State<T> {
-        self.rk4(state, drive, dt, &ActingLaws { laws: &[], memory: &[] })
+        self.rk4(state, drive, dt, &ActingLaws::NONE)
     }
 
     /// The inelastic end stops: driven into one, the piston stands there.
@@ -500,7 +515,6 @@ impl Plant<f64> {
     /// Magnitude of the fastest eigenvalue of the plant linearised at standstill with the valve closed and
     /// no flow (every pressure the return's), 1/s; infinite where the plant's numbers overflow.
     fn standstill_eigenvalue_per_s(&self, x: f64) -> f64 {
-        let none = ActingLaws { laws: &[], memory: &[] };
         let at = State { p_s: self.p_r, p_3: self.p_r, p_1: self.p_r, p_2: self.p_r, x, v: 0.0 }.to_array();
         // Differences small against dp_t, so that the law is at its steepest; exact for the linear terms.
         let step = [1e2, 1e2, 1e2, 1e2, 1e-6, 1e-6];
@@ -510,7 +524,7 @@ impl Plant<f64> {
                 moved[column] += sign * step[column];
                 let drive = Drive { u: 0.0, load: 0.0, load_end: 0.0, a_leak: 0.0, at: 0.0 };
                 let state = State::from_array(moved);
-                self.rates(&drive.moment(self, &state, 0.0), &none).to_array()[row]
+                self.rates(&drive.moment(self, &state, 0.0), &ActingLaws::NONE).to_array()[row]
             };
             (rate(1.0) - rate(-1.0)) / (2.0 * step[column])
         });

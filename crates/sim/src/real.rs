@@ -8,7 +8,6 @@ use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 use crate::effects::{Effect, Law};
 use crate::elementary;
-use crate::simd::widest;
 
 /// Number of machines that the batched path steps together: one AVX-512 register, two of AVX2.
 pub const LANES: usize = 8;
@@ -49,6 +48,8 @@ pub trait Real:
     fn tanh(self) -> Self;
     /// To a power, for positive numbers.
     fn pow(self, exponent: Self) -> Self;
+    /// One over the fourth root, for positive numbers.
+    fn reciprocal_fourth_root(self) -> Self;
     /// The larger of the two.
     fn max(self, other: Self) -> Self;
     /// The smaller of the two.
@@ -101,6 +102,10 @@ impl Real for f64 {
         elementary::pow(self, exponent)
     }
     #[inline(always)]
+    fn reciprocal_fourth_root(self) -> Self {
+        elementary::reciprocal_fourth_root(self)
+    }
+    #[inline(always)]
     fn max(self, other: Self) -> Self {
         if self > other { self } else { other }
     }
@@ -129,8 +134,8 @@ macro_rules! lanewise {
             #[inline(always)]
             fn $method(self, other: Lanes) -> Lanes {
                 let mut out = self;
-                for (a, b) in out.0.iter_mut().zip(other.0) {
-                    *a $op b;
+                for lane in 0..LANES {
+                    out.0[lane] $op other.0[lane];
                 }
                 out
             }
@@ -143,7 +148,11 @@ impl Neg for Lanes {
     type Output = Lanes;
     #[inline(always)]
     fn neg(self) -> Lanes {
-        Lanes(self.0.map(|a| -a))
+        let mut out = self;
+        for a in &mut out.0 {
+            *a = -*a;
+        }
+        out
     }
 }
 impl AddAssign for Lanes {
@@ -160,18 +169,13 @@ impl SubAssign for Lanes {
 }
 
 impl Lanes {
-    /// A function without branches of each lane. Laws are called through tables, where the widest instructions end.
+    /// A function without branches of each lane.
     #[inline(always)]
     fn lanewise(mut self, function: impl Fn(f64) -> f64) -> Self {
-        widest(
-            #[inline(always)]
-            || {
-                for a in &mut self.0 {
-                    *a = function(*a);
-                }
-                self
-            },
-        )
+        for a in &mut self.0 {
+            *a = function(*a);
+        }
+        self
     }
 }
 
@@ -183,8 +187,12 @@ impl Real for Lanes {
         Lanes([value; LANES])
     }
     #[inline(always)]
-    fn from_lanes(value: impl FnMut(usize) -> f64) -> Self {
-        Lanes(std::array::from_fn(value))
+    fn from_lanes(mut value: impl FnMut(usize) -> f64) -> Self {
+        let mut out = Lanes([0.0; LANES]);
+        for (lane, slot) in out.0.iter_mut().enumerate() {
+            *slot = value(lane);
+        }
+        out
     }
     #[inline(always)]
     fn lane(self, lane: usize) -> f64 {
@@ -204,39 +212,40 @@ impl Real for Lanes {
         }
         self
     }
+    #[inline(always)]
     fn exp(self) -> Self {
         self.lanewise(elementary::exp)
     }
+    #[inline(always)]
     fn ln(self) -> Self {
         self.lanewise(elementary::ln)
     }
+    #[inline(always)]
     fn tanh(self) -> Self {
         self.lanewise(elementary::tanh)
     }
-    fn pow(self, exponent: Self) -> Self {
-        let mut out = self;
-        // Laws are called through tables, where the widest instructions end.
-        widest(
-            #[inline(always)]
-            || {
-                for (a, b) in out.0.iter_mut().zip(exponent.0) {
-                    *a = elementary::pow(*a, b);
-                }
-                out
-            },
-        )
+    #[inline(always)]
+    fn pow(mut self, exponent: Self) -> Self {
+        for lane in 0..LANES {
+            self.0[lane] = elementary::pow(self.0[lane], exponent.0[lane]);
+        }
+        self
+    }
+    #[inline(always)]
+    fn reciprocal_fourth_root(self) -> Self {
+        self.lanewise(elementary::reciprocal_fourth_root)
     }
     #[inline(always)]
     fn max(mut self, other: Self) -> Self {
-        for (a, b) in self.0.iter_mut().zip(other.0) {
-            *a = if *a > b { *a } else { b };
+        for lane in 0..LANES {
+            self.0[lane] = Real::max(self.0[lane], other.0[lane]);
         }
         self
     }
     #[inline(always)]
     fn min(mut self, other: Self) -> Self {
-        for (a, b) in self.0.iter_mut().zip(other.0) {
-            *a = if *a < b { *a } else { b };
+        for lane in 0..LANES {
+            self.0[lane] = Real::min(self.0[lane], other.0[lane]);
         }
         self
     }
@@ -244,7 +253,7 @@ impl Real for Lanes {
     fn where_positive(self, if_positive: Self, otherwise: Self) -> Self {
         let mut out = otherwise;
         for lane in 0..LANES {
-            out.0[lane] = if self.0[lane] > 0.0 { if_positive.0[lane] } else { otherwise.0[lane] };
+            out.0[lane] = self.0[lane].where_positive(if_positive.0[lane], otherwise.0[lane]);
         }
         out
     }

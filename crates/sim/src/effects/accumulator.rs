@@ -23,6 +23,11 @@ impl<T: Real> GasSpring<T> {
 }
 
 impl<T: Real> Law<T> for GasSpring<T> {
+    fn softens(&self) -> bool {
+        true
+    }
+
+    #[inline(always)]
     fn soften(&self, moment: &Moment<'_, T>, softening: &mut Softening<T>) {
         let p = moment.state.p_s;
         // V = V_0 (p_0 / p)^(1/n) above the precharge; its compliance −dV/dp beside V_s / β.

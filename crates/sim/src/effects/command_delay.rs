@@ -29,6 +29,7 @@ impl<T: Real> Law<T> for Delay<T> {
         REMEMBERED
     }
 
+    #[inline(always)]
     fn spool(&self, memory: &mut [T], command: T, substep: &Substep<T>) -> T {
         let now = (substep.tick % REMEMBERED as u64) as usize;
         memory[now] = command;

@@ -22,6 +22,7 @@ impl<T: Real> Law<T> for Steps<T> {
         false
     }
 
+    #[inline(always)]
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         let rounded = (command / self.step).map(libm::round) * self.step;
         self.step.where_positive(rounded, command)

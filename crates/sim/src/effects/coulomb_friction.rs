@@ -18,6 +18,7 @@ impl<T: Real> Coulomb<T> {
 }
 
 impl<T: Real> Law<T> for Coulomb<T> {
+    #[inline(always)]
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         let state = moment.state;
         terms.force -= self.force * direction(state.v);

@@ -18,6 +18,7 @@ impl<T: Real> Cushion<T> {
     }
 
     /// Share of the outlet that is open at a distance from the stop.
+    #[inline(always)]
     fn share(&self, distance: T) -> T {
         let (zero, one) = (T::splat(0.0), T::splat(1.0));
         let way = (distance / self.length).max(zero).min(one);
@@ -26,6 +27,7 @@ impl<T: Real> Cushion<T> {
 }
 
 impl<T: Real> Law<T> for Cushion<T> {
+    #[inline(always)]
     fn open(&self, moment: &Moment<'_, T>, openings: &mut Openings<T>) {
         let one = T::splat(1.0);
         let (x, u) = (moment.state.x, moment.spool);

@@ -22,6 +22,11 @@ impl<T: Real> Air<T> {
 }
 
 impl<T: Real> Law<T> for Air<T> {
+    fn softens(&self) -> bool {
+        true
+    }
+
+    #[inline(always)]
     fn soften(&self, moment: &Moment<'_, T>, softening: &mut Softening<T>) {
         let share = self.fraction * moment.plant.beta * T::splat(ATMOSPHERE_PA / POLYTROPIC);
         let one = T::splat(1.0);

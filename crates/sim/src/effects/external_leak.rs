@@ -19,6 +19,7 @@ impl<T: Real> Leak<T> {
 }
 
 impl<T: Real> Law<T> for Leak<T> {
+    #[inline(always)]
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         let state = moment.state;
         terms.cap_flow -= self.cap * state.p_1;

@@ -18,6 +18,7 @@ impl<T: Real> Offset<T> {
 }
 
 impl<T: Real> Law<T> for Offset<T> {
+    #[inline(always)]
     fn act(&self, _memory: &[T], _moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         terms.force += self.force;
     }

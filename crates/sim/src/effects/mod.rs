@@ -54,6 +54,7 @@ use crate::controller::Pid;
 use crate::learned;
 use crate::plant::{Plant, State};
 use crate::real::{Lanes, Real};
+use crate::spec::MachineSpec;
 
 /// Every effect, in the order in which signals run: command to spool, spool to flows, flows to forces, position to measurement. Laws act in
 /// this order; `structure_compliance` comes after the forces, which it divides.
@@ -364,6 +365,11 @@ pub trait Law<T: Real>: Send + Sync {
         true
     }
 
+    /// Whether it softens volumes by [`Law::soften`], which is asked of no machine without such a law.
+    fn softens(&self) -> bool {
+        false
+    }
+
     /// Whether it has states of its own, which [`Law::advance`] advances.
     fn has_states(&self) -> bool {
         false
@@ -405,8 +411,23 @@ pub trait Law<T: Real>: Send + Sync {
 const TRANSITION_SPEED_M_PER_S: f64 = 5e-3;
 
 /// The direction of a speed, −1 … 1: its sign, smooth around 0.
+#[inline(always)]
 pub(crate) fn direction<T: Real>(speed: T) -> T {
     (speed * T::splat(1.0 / TRANSITION_SPEED_M_PER_S)).tanh()
+}
+
+/// Slope of all friction over speed where the piston stands, N·s/m: around 0 friction is viscous, and as stiff as it ever is. Pressure
+/// friction counts as with the relief pressure on one side of the piston.
+pub fn friction_at_standstill_n_s_per_m(machine: &MachineSpec) -> f64 {
+    let value = |effect: &str, parameter: &str| {
+        machine.effects.get(effect).and_then(|values| values.get(parameter)).copied().unwrap_or(0.0)
+    };
+    let stribeck = value("stribeck_friction", "force_n").max(value("stribeck_friction", "static_force_n"));
+    let pressed = machine.plant.cap_area_m2 * machine.plant.relief_pressure_pa;
+    let force_n = value("coulomb_friction", "force_n")
+        + stribeck
+        + value("pressure_friction", "coefficient") * pressed;
+    force_n / TRANSITION_SPEED_M_PER_S
 }
 
 /// Builds a law for both number types from one generic constructor `fn(&[T]) -> impl Law<T>`.
@@ -416,7 +437,7 @@ macro_rules! built_by {
             Box::new($constructor(values))
         }
         fn lanes(&self, values: &[crate::real::Lanes]) -> Box<dyn crate::effects::Law<crate::real::Lanes>> {
-            Box::new($constructor(values))
+            crate::simd::law_in_lanes($constructor(values))
         }
     };
 }

@@ -27,6 +27,7 @@ impl<T: Real> Law<T> for Lag<T> {
         2
     }
 
+    #[inline(always)]
     fn sense(&self, memory: &mut [T], position: T, sensing: &Sensing<T>) -> T {
         let one = T::splat(1.0);
         // Exact for a position that is constant over a period.

@@ -22,6 +22,7 @@ impl<T: Real> Law<T> for Grid<T> {
         false
     }
 
+    #[inline(always)]
     fn sense(&self, _memory: &mut [T], position: T, _sensing: &Sensing<T>) -> T {
         let rounded = (position / self.step).map(libm::round) * self.step;
         self.step.where_positive(rounded, position)

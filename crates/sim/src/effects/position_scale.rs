@@ -22,6 +22,7 @@ impl<T: Real> Law<T> for ScaleFactor<T> {
         false
     }
 
+    #[inline(always)]
     fn sense(&self, _memory: &mut [T], position: T, _sensing: &Sensing<T>) -> T {
         position * self.factor
     }

@@ -25,6 +25,7 @@ impl<T: Real> Law<T> for Sine<T> {
         false
     }
 
+    #[inline(always)]
     fn sense(&self, _memory: &mut [T], position: T, _sensing: &Sensing<T>) -> T {
         position + self.amplitude * (self.wave_number * position).map(libm::sin)
     }

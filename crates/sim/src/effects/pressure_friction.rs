@@ -18,6 +18,7 @@ impl<T: Real> SealForce<T> {
 }
 
 impl<T: Real> Law<T> for SealForce<T> {
+    #[inline(always)]
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         let (state, plant) = (moment.state, moment.plant);
         let normal = (state.p_1 - state.p_2).abs() * plant.a_cap;

@@ -18,6 +18,7 @@ impl<T: Real> Slip<T> {
 }
 
 impl<T: Real> Law<T> for Slip<T> {
+    #[inline(always)]
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         terms.supply_flow -= self.leakage * moment.state.p_s;
     }

@@ -17,12 +17,14 @@ impl<T: Real> BackPressure<T> {
     }
 
     /// Land and line in series: q = K √(Δp − k q²) is q = K / √(1 + k K²) · √Δp.
+    #[inline(always)]
     fn in_series(&self, opening: T) -> T {
         opening / (T::splat(1.0) + self.k * opening * opening).sqrt()
     }
 }
 
 impl<T: Real> Law<T> for BackPressure<T> {
+    #[inline(always)]
     fn open(&self, moment: &Moment<'_, T>, openings: &mut Openings<T>) {
         let u = moment.spool;
         openings.rod = u.where_positive(self.in_series(openings.rod), openings.rod);

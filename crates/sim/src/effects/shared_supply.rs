@@ -23,6 +23,7 @@ impl<T: Real> Consumer<T> {
 }
 
 impl<T: Real> Law<T> for Consumer<T> {
+    #[inline(always)]
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         let (zero, one, ramp) = (T::splat(0.0), T::splat(1.0), T::splat(1.0 / RAMP_S));
         let since = ((moment.at - self.start) * ramp).max(zero).min(one);

@@ -19,6 +19,7 @@ impl<T: Real> Spring<T> {
 }
 
 impl<T: Real> Law<T> for Spring<T> {
+    #[inline(always)]
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         terms.force -= self.stiffness * (moment.state.x - self.neutral_position);
     }

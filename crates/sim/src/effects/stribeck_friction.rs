@@ -21,6 +21,7 @@ impl<T: Real> Stribeck<T> {
 }
 
 impl<T: Real> Law<T> for Stribeck<T> {
+    #[inline(always)]
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         let v = moment.state.v;
         let share = v / self.speed;

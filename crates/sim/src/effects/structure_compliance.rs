@@ -21,6 +21,7 @@ impl<T: Real> TwoMasses<T> {
     }
 
     /// Force of spring and damper on the piston's mass, N; deflection and its rate are the load's less the piston's.
+    #[inline(always)]
     fn spring(&self, memory: &[T], mass_inverse: T) -> T {
         let load_mass = self.fraction / mass_inverse;
         let damping = T::splat(2.0 * DAMPING_RATIO) * (self.stiffness * load_mass).sqrt();
@@ -38,6 +39,7 @@ impl<T: Real> Law<T> for TwoMasses<T> {
         true
     }
 
+    #[inline(always)]
     fn act(&self, memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         let plant = moment.plant;
         let on_piston =
@@ -47,6 +49,7 @@ impl<T: Real> Law<T> for TwoMasses<T> {
         terms.force = self.fraction.where_positive(scaled, terms.force);
     }
 
+    #[inline(always)]
     fn advance(&self, memory: &mut [T], moment: &Moment<'_, T>, terms: &Terms<T>, dt: T) {
         let plant = moment.plant;
         let zero = T::splat(0.0);

@@ -24,6 +24,7 @@ impl<T: Real> LeakLaw<T> {
 }
 
 impl<T: Real> Law<T> for LeakLaw<T> {
+    #[inline(always)]
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         let plant = moment.plant;
         let dp = moment.state.p_1 - moment.state.p_2;

@@ -19,6 +19,7 @@ impl<T: Real> Lands<T> {
 }
 
 impl<T: Real> Law<T> for Lands<T> {
+    #[inline(always)]
     fn open(&self, moment: &Moment<'_, T>, openings: &mut Openings<T>) {
         let one = T::splat(1.0);
         openings.cap = openings.cap * moment.spool.where_positive(one, self.return_side);

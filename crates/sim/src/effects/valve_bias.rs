@@ -22,6 +22,7 @@ impl<T: Real> Law<T> for Bias<T> {
         false
     }
 
+    #[inline(always)]
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         command + self.offset
     }

@@ -24,6 +24,7 @@ impl<T: Real> Law<T> for Curve<T> {
         false
     }
 
+    #[inline(always)]
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         let one = T::splat(1.0);
         let opening = command.abs();

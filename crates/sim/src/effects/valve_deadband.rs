@@ -22,6 +22,7 @@ impl<T: Real> Law<T> for Deadband<T> {
         false
     }
 
+    #[inline(always)]
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         let beyond = (command.abs() - self.half_width).max(T::splat(0.0));
         command.where_positive(beyond, -beyond)

@@ -25,6 +25,7 @@ impl<T: Real> Law<T> for Shape<T> {
         false
     }
 
+    #[inline(always)]
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         command * command.abs().max(T::splat(LINEAR_BELOW)).pow(self.exponent - T::splat(1.0))
     }

@@ -26,6 +26,7 @@ impl<T: Real> Law<T> for Play<T> {
         1
     }
 
+    #[inline(always)]
     fn spool(&self, memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         let half = self.width * T::splat(0.5);
         memory[0] = memory[0].max(command - half).min(command + half);

@@ -30,6 +30,7 @@ impl<T: Real> Law<T> for RoundEdges<T> {
     }
 
     /// What one pair of lands passes more than the other: what moves a piston. What both pass runs past it.
+    #[inline(always)]
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
         let both = self.rounded(command - self.half_width) - self.rounded(command + self.half_width);
         command + T::splat(0.5) * both

@@ -26,6 +26,7 @@ impl<T: Real> Law<T> for RateLimit<T> {
         1
     }
 
+    #[inline(always)]
     fn spool(&self, memory: &mut [T], command: T, substep: &Substep<T>) -> T {
         let most = self.rate * substep.dt;
         let moved = memory[0] + (command - memory[0]).max(-most).min(most);

@@ -25,6 +25,7 @@ impl<T: Real> Wear<T> {
 }
 
 impl<T: Real> Law<T> for Wear<T> {
+    #[inline(always)]
     fn act(&self, _memory: &[T], moment: &Moment<'_, T>, terms: &mut Terms<T>) {
         let (state, plant) = (moment.state, moment.plant);
         let k = self.coefficient * (-moment.spool.abs() / self.decay).exp();
