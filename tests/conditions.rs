@@ -13,12 +13,12 @@ use seepd_monitor::cause::course::{Condition, CourseState, Manner, Severity};
 use seepd_monitor::event::{Event, Flag, NoticeKind};
 use seepd_monitor::pipeline::{MonitorConfig, Pipeline};
 use seepd_signals::Sample;
-use seepd_sim::MachineSpec;
 use seepd_sim::batch::{Job, run_lanes};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
 use seepd_sim::series::{self, Tolerances};
+use seepd_sim::{MachineSpec, Steps};
 
 static MODEL: LazyLock<Arc<Model>> =
     LazyLock::new(|| Arc::new(Model::from_json(seepd::EMBEDDED_MODEL).unwrap()));
@@ -97,7 +97,7 @@ fn run(machines: &[(u64, Stretch, Option<Baseline>)], offset: impl Fn(f64) -> f6
                     (pipeline, noise, 0, Heard::default())
                 })
                 .collect();
-            run_lanes(&jobs, |lane, record| {
+            run_lanes(&jobs, Steps::Own, |lane, record| {
                 let (pipeline, noise, tick, heard) = &mut lanes[lane];
                 let planted = offset(*tick as f64 / TICKS as f64);
                 // A spool that is off by so much needs as much less of the command.

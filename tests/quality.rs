@@ -8,11 +8,11 @@ use seepd_model::Model;
 use seepd_monitor::event::{Event, Flag};
 use seepd_monitor::pipeline::{MonitorConfig, Pipeline};
 use seepd_signals::Sample;
-use seepd_sim::MachineSpec;
 use seepd_sim::batch::{Job, run_lanes};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
+use seepd_sim::{MachineSpec, Steps};
 use seepd_train::{TrainError, Trained, TrainingSettings, train};
 
 /// Trained as the embedded model was, but for fewer machines that calibrate and are compared with their baselines, and without causes.
@@ -146,7 +146,7 @@ fn watch(model: &Model, jobs: &[Job], batch: u64) -> Vec<u64> {
     let mut lanes: Vec<(Pipeline, Noise, i64, u64)> = (0..LANES as u64)
         .map(|lane| (Pipeline::new(config.clone()).unwrap(), Noise::new(78, batch * 8 + lane), 0, 0))
         .collect();
-    run_lanes(jobs, |lane, record| {
+    run_lanes(jobs, Steps::Own, |lane, record| {
         let (pipeline, noise, time_ns, cycles) = &mut lanes[lane];
         let sample = Sample::command(*time_ns, record.command.0[lane] + noise.normal(0.001));
         *time_ns += 1_000_000;

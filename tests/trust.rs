@@ -9,12 +9,12 @@ use seepd_monitor::baseline::{Baseline, CusumFinding};
 use seepd_monitor::event::Event;
 use seepd_monitor::pipeline::{MonitorConfig, Pipeline};
 use seepd_signals::{Sample, Signal};
-use seepd_sim::MachineSpec;
 use seepd_sim::batch::{Job, run_lanes};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
 use seepd_sim::series::{self, Tolerances};
+use seepd_sim::{MachineSpec, Steps};
 
 const NOISE: f64 = 0.003;
 const BASELINE_CYCLES: usize = 50;
@@ -92,7 +92,7 @@ fn run(model: &Model, machines: &[(u64, Day, Option<Baseline>)], with_load: bool
                     (pipeline, Noise::new(9_000 + number, day.cycles as u64), 0, Course::default())
                 })
                 .collect();
-            run_lanes(&jobs, |lane, record| {
+            run_lanes(&jobs, Steps::Own, |lane, record| {
                 let (pipeline, noise, time_ns, course) = &mut lanes[lane];
                 let command = (record.command.0[lane] + noise.normal(NOISE)).clamp(-1.0, 1.0);
                 let mut sample = Sample::command(*time_ns, command);

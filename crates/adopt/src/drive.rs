@@ -9,7 +9,7 @@ use seepd_gap::SimulatedAxis;
 use seepd_sim::batch::follow;
 use seepd_sim::cycle::{DriveSample, LoadCorner, Move, OpenLoop, OpenLoopTick, load_at};
 use seepd_sim::opening::SteadyOpening;
-use seepd_sim::{DutyCycle, MachineSpec};
+use seepd_sim::{DutyCycle, MachineSpec, Steps};
 
 use crate::duty_cycle::FoundCycle;
 use crate::strokes::{mean, range, slope};
@@ -182,7 +182,7 @@ fn simulated_command(spec: &MachineSpec, demand: &[f64], load_n: &[f64]) -> Vec<
     let ticks = demand.len();
     let drive = drive_of(&[demand, demand].concat(), &[load_n, load_n].concat(), spec.controller.period_s);
     let mut command = Vec::with_capacity(ticks);
-    follow(std::slice::from_ref(spec), &drive, None, |tick, signals| {
+    follow(std::slice::from_ref(spec), &drive, None, Steps::Fewest, |tick, signals| {
         if tick >= ticks {
             command.push(signals.command.0[0]);
         }

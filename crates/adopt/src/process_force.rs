@@ -9,7 +9,7 @@ use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use seepd_sim::batch::{self, Job};
 use seepd_sim::cycle::{CycleRun, LoadCorner, Move, sum_of_loads};
-use seepd_sim::{DutyCycle, MachineSpec};
+use seepd_sim::{DutyCycle, MachineSpec, Steps};
 
 use crate::strokes::{range, slope};
 
@@ -257,7 +257,7 @@ impl<'a> Problem<'a> {
             Job { spec, runs, start_tick: 0, skip_ticks: period, record_ticks: period }
         };
         let jobs: Vec<Job> = tried.iter().map(job).collect();
-        batch::commands(&jobs, |_, commands| {
+        batch::commands(&jobs, Steps::Fewest, |_, commands| {
             let rest = self.ticks.iter().map(|tick| self.command[*tick] - commands[*tick]);
             let rest = DVector::from_iterator(self.ticks.len(), rest);
             self.nuisances.iter().fold(rest, |rest, nuisance| &rest - nuisance * nuisance.dot(&rest))
@@ -370,7 +370,7 @@ mod tests {
                 skip_ticks: 10_000,
                 record_ticks: 10_000,
             };
-            batch::commands(&[job], |_, commands| commands.to_vec()).remove(0)
+            batch::commands(&[job], Steps::Own, |_, commands| commands.to_vec()).remove(0)
         };
         assert_eq!(read_off(&spec, &command_of(spec.cycle.load.clone())), None);
 

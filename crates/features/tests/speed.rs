@@ -10,7 +10,7 @@ use seepd_signals::Sample;
 use seepd_sim::batch::{Job, run_lanes};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::real::LANES;
-use seepd_sim::{Input, Machine, MachineSpec, Schedule};
+use seepd_sim::{Input, Machine, MachineSpec, Schedule, Steps};
 
 /// One cycle at 1 kHz.
 const TICKS: u64 = 10_000;
@@ -54,7 +54,7 @@ fn a_lane_step_is_at_most_half_a_scalar_step() {
     };
     let jobs = vec![job; LANES];
     let lane_s = shortest_s(|| {
-        run_lanes(&jobs, |lane, record| {
+        run_lanes(&jobs, Steps::Own, |lane, record| {
             black_box((lane, record.command));
         });
     }) / LANES as f64;

@@ -1,9 +1,9 @@
 //! What a machine without a controller does under a recorded command, beside what it did: nothing is fitted.
 
 use seepd_signals::Signal;
-use seepd_sim::MachineSpec;
 use seepd_sim::batch::follow;
 use seepd_sim::cycle::{DriveSample, OpenLoopTick, RunStart};
+use seepd_sim::{MachineSpec, Steps};
 
 use crate::press::of;
 use crate::record::{RecordError, bridged};
@@ -105,7 +105,7 @@ pub fn predict(run: &Run, machine: &MachineSpec) -> Result<Prediction, RecordErr
     let shown: Vec<Signal> =
         machine.signals().into_iter().filter(|signal| *signal != Signal::Command).collect();
     let mut simulated = vec![Vec::with_capacity(drive.len()); shown.len()];
-    follow(std::slice::from_ref(&machine), &drive, Some(&start), |_, record| {
+    follow(std::slice::from_ref(&machine), &drive, Some(&start), Steps::Own, |_, record| {
         for (values, signal) in simulated.iter_mut().zip(&shown) {
             values.push(of(record, *signal).0[0]);
         }

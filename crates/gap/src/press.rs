@@ -8,7 +8,7 @@ use seepd_sim::cycle::{DriveSample, LoadCorner, Move, RunStart};
 use seepd_sim::effects::{self, EffectInfo, Parameter};
 use seepd_sim::learned::{self, LearnedLaw, Site};
 use seepd_sim::real::{LANES, Lanes};
-use seepd_sim::{DutyCycle, MachineSpec, PlantParameters, Size};
+use seepd_sim::{DutyCycle, MachineSpec, PlantParameters, Size, Steps};
 
 use crate::record::{BINS, RecordedCycle, bin_of, correlation};
 use crate::simulate::{BinnedSignals, bins_of};
@@ -231,13 +231,10 @@ fn simulated(
     machines
         .par_chunks(LANES)
         .flat_map_iter(|machines| {
-            let mut machines: Vec<MachineSpec> = machines.iter().map(softer_at_the_inlet).collect();
-            // A batch takes the steps of the stiffest.
-            let steps = machines.iter().map(least_steps).max().unwrap_or(1);
-            machines.iter_mut().for_each(|machine| machine.controller.steps_per_period = steps);
+            let machines: Vec<MachineSpec> = machines.iter().map(softer_at_the_inlet).collect();
             let mut sums = vec![vec![[0.0; LANES]; BINS]; signals.len()];
             let mut counts = vec![0u32; BINS];
-            follow(&machines, drive, start, |tick, record| {
+            follow(&machines, drive, start, Steps::Fewest, |tick, record| {
                 let Some(tick) = tick.checked_sub(warm_up) else { return };
                 let bin = bin_of(tick, ticks);
                 counts[bin] += 1;
@@ -301,8 +298,8 @@ fn furthest_from(position_m: &[f64], place_m: f64) -> usize {
 }
 
 /// The machine with some of the supply's volume moved to the valve's inlet, the smallest volume, which alone asks for short steps. What
-/// both hold together stays; what the inlet's pressure does within a tenth of a millisecond is not seen in bins (a test holds both to 1e-4
-/// of each signal's range).
+/// both hold together stays; what the inlet's pressure does within a millisecond is not seen in bins (a test holds the machine in the
+/// fewest steps to 1e-4 of each signal's range, and the two pressures before the valve to 4e-4).
 fn softer_at_the_inlet(machine: &MachineSpec) -> MachineSpec {
     let mut machine = machine.clone();
     let plant = &mut machine.plant;
@@ -314,22 +311,6 @@ fn softer_at_the_inlet(machine: &MachineSpec) -> MachineSpec {
 
 /// Largest share of the supply's volume that is moved: with less of it left its relief valve chatters.
 const LARGEST_MOVE: f64 = 0.2;
-
-/// Steps in a period that keep a machine stable: half of its file's where its eigenvalues allow it, with friction's around standstill, and
-/// all of them with effects that are stiff in themselves.
-fn least_steps(machine: &MachineSpec) -> usize {
-    if machine.effects.keys().any(|key| STIFF.contains(&key.as_str())) {
-        return machine.stable_steps();
-    }
-    let mut fewer = machine.clone();
-    fewer.plant.viscous_friction_n_s_per_m += effects::friction_at_standstill_n_s_per_m(machine);
-    fewer.controller.steps_per_period = machine.controller.steps_per_period.div_ceil(2);
-    fewer.stable_steps()
-}
-
-/// Effects that are stiff in themselves: a structure's high mode, friction of any shape.
-const STIFF: [&str; 3] =
-    ["structure_compliance", "learned_friction_over_position", "learned_friction_over_pressure"];
 
 pub(crate) fn of(record: &SimulatedSignals<Lanes>, signal: Signal) -> Lanes {
     match signal {
@@ -491,7 +472,7 @@ mod tests {
     use crate::record::binned;
 
     /// RMS over range of what `run` shows beside the machine in its own steps, by signal.
-    fn difference(machine: &MachineSpec) -> f64 {
+    fn differences(machine: &MachineSpec) -> Vec<(Signal, f64)> {
         let cycle = &machine.cycle;
         let ticks = (cycle.period_s / machine.controller.period_s) as usize;
         let drive: Vec<DriveSample> = (0..2 * ticks)
@@ -514,18 +495,30 @@ mod tests {
         let compared =
             MachineSpec::run(std::slice::from_ref(machine), &drive, ticks, &signals).swap_remove(0);
         let mut own = vec![Vec::with_capacity(ticks); signals.len()];
-        follow(std::slice::from_ref(machine), &drive, None, |tick, record| {
+        follow(std::slice::from_ref(machine), &drive, None, Steps::Own, |tick, record| {
             if tick >= ticks {
                 signals.iter().zip(&mut own).for_each(|(signal, own)| own.push(of(record, *signal).0[0]));
             }
         });
-        let of_signal = |(own, compared): (&Vec<f64>, &Vec<f64>)| {
+        let of_signal = |((signal, own), compared): ((&Signal, &Vec<f64>), &Vec<f64>)| {
             let own = binned(own);
             let (low, high) = own.iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
             let square: f64 = own.iter().zip(compared).map(|(a, b)| (a - b).powi(2)).sum();
-            (square / BINS as f64).sqrt() / (high - low)
+            (*signal, (square / BINS as f64).sqrt() / (high - low))
         };
-        own.iter().zip(&compared).map(of_signal).fold(0.0, f64::max)
+        signals.iter().zip(&own).zip(&compared).map(of_signal).collect()
+    }
+
+    /// What the two pressures before the valve do within a millisecond is a fifth of the error that any model is allowed at most; the
+    /// others hardly feel it.
+    fn assert_alike(machine: &MachineSpec, what: &str) {
+        for (signal, difference) in differences(machine) {
+            let most = match signal {
+                Signal::PSupply | Signal::PInlet => 4e-4,
+                _ => 1e-4,
+            };
+            assert!(difference < most, "{what}, {signal:?}: {difference:.1e}");
+        }
     }
 
     #[test]
@@ -537,6 +530,8 @@ mod tests {
             "stribeck_friction.static_force_n=5000",
             "pressure_friction.coefficient=0.1",
             "valve_rate_limit.rate_per_s=0.4",
+            "valve_lag.natural_frequency_hz=40",
+            "structure_compliance.mass_fraction=0.5",
             "accumulator.volume_m3=1e-3",
             "command_delay.delay_s=0.0051",
             "return_back_pressure.k_pa_s2_per_m6=1e12",
@@ -547,13 +542,11 @@ mod tests {
             if !effect.is_empty() {
                 machine.set_effect(effect).unwrap();
             }
-            let difference = difference(&machine);
-            assert!(difference < 1e-4, "{effect}: {difference:.1e}");
+            assert_alike(&machine, effect);
         }
         // A pump too small for the strokes: the supply's volume gives its oil.
         let mut machine = MachineSpec::default();
         machine.plant.pump_flow_m3_per_s = 4e-4;
-        let difference = difference(&machine);
-        assert!(difference < 1e-4, "a small pump: {difference:.1e}");
+        assert_alike(&machine, "a small pump");
     }
 }

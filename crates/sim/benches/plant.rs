@@ -6,7 +6,7 @@ use divan::counter::ItemsCount;
 use seepd_sim::batch::{Job, run_lanes};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::real::LANES;
-use seepd_sim::{Input, Machine, MachineSpec, Schedule, effects};
+use seepd_sim::{Input, Machine, MachineSpec, Schedule, Steps, effects};
 
 const TICKS: u64 = 10_000;
 
@@ -27,9 +27,9 @@ fn scalar_cycle(bencher: divan::Bencher<'_, '_>) {
     });
 }
 
-#[divan::bench(sample_count = 10)]
-fn batched_cycle(bencher: divan::Bencher<'_, '_>) {
-    batched(bencher, MachineSpec::default());
+#[divan::bench(sample_count = 10, args = [Steps::Own, Steps::Fewest])]
+fn batched_cycle(bencher: divan::Bencher<'_, '_>, steps: Steps) {
+    batched(bencher, MachineSpec::default(), steps);
 }
 
 #[divan::bench(sample_count = 4, args = effects::ALL.iter().map(|effect| effect.key()))]
@@ -41,10 +41,10 @@ fn batched_cycle_with(bencher: divan::Bencher<'_, '_>, effect: &str) {
         (parameter.name.to_owned(), low + 0.1 * (high - low))
     });
     spec.effects.insert(effect.to_owned(), values.collect());
-    batched(bencher, spec);
+    batched(bencher, spec, Steps::Own);
 }
 
-fn batched(bencher: divan::Bencher<'_, '_>, spec: MachineSpec) {
+fn batched(bencher: divan::Bencher<'_, '_>, spec: MachineSpec, steps: Steps) {
     let jobs: Vec<Job> = (0..LANES)
         .map(|lane| Job {
             spec: spec.clone(),
@@ -55,7 +55,7 @@ fn batched(bencher: divan::Bencher<'_, '_>, spec: MachineSpec) {
         })
         .collect();
     bencher.counter(ItemsCount::new(TICKS * 10 * LANES as u64)).bench_local(|| {
-        run_lanes(&jobs, |lane, record| {
+        run_lanes(&jobs, steps, |lane, record| {
             divan::black_box((lane, record.command));
         });
     });

@@ -7,6 +7,7 @@
 use rayon::prelude::*;
 
 use crate::cycle::{CycleRun, DriveSample, RunStart, Schedule};
+use crate::integration::{Stepping, Steps};
 use crate::machine::{Input, Machine, MachineState, SimulatedSignals};
 use crate::real::{LANES, Lanes, Real};
 use crate::simd::widest;
@@ -29,13 +30,13 @@ pub struct Job {
 
 /// Runs the jobs and hands each one's recorded commands, in shares of full command, to `reduce` with the
 /// job's index; results come in the jobs' order.
-pub fn commands<R: Send>(jobs: &[Job], reduce: impl Fn(usize, &[f64]) -> R + Sync) -> Vec<R> {
+pub fn commands<R: Send>(jobs: &[Job], steps: Steps, reduce: impl Fn(usize, &[f64]) -> R + Sync) -> Vec<R> {
     jobs.par_chunks(LANES)
         .enumerate()
         .flat_map_iter(|(chunk, jobs)| {
             let mut commands: Vec<Vec<f64>> =
                 jobs.iter().map(|job| Vec::with_capacity(job.record_ticks as usize)).collect();
-            run_lanes(jobs, |lane, signals| commands[lane].push(signals.command.0[lane]));
+            run_lanes(jobs, steps, |lane, signals| commands[lane].push(signals.command.0[lane]));
             let reduced: Vec<R> =
                 commands.iter().enumerate().map(|(lane, c)| reduce(chunk * LANES + lane, c)).collect();
             reduced
@@ -49,9 +50,9 @@ pub fn commands<R: Send>(jobs: &[Job], reduce: impl Fn(usize, &[f64]) -> R + Syn
 ///
 /// # Panics
 /// Where `jobs` is empty.
-pub fn run_lanes(jobs: &[Job], mut sink: impl FnMut(usize, &SimulatedSignals<Lanes>)) {
+pub fn run_lanes(jobs: &[Job], steps: Steps, mut sink: impl FnMut(usize, &SimulatedSignals<Lanes>)) {
     let specs: Vec<&MachineSpec> = jobs.iter().map(|job| &job.spec).collect();
-    let machine = Machine::<Lanes>::new(&specs);
+    let machine = Machine::<Lanes>::with_stepping(&specs, Stepping::of(&specs, steps));
     let mut schedules: Vec<Schedule> = jobs
         .iter()
         .map(|job| {
@@ -101,10 +102,11 @@ pub fn follow(
     machines: &[MachineSpec],
     drive: &[DriveSample],
     start: Option<&RunStart>,
+    steps: Steps,
     mut sink: impl FnMut(usize, &SimulatedSignals<Lanes>),
 ) {
     let specs: Vec<&MachineSpec> = machines.iter().collect();
-    let machine = Machine::<Lanes>::new(&specs);
+    let machine = Machine::<Lanes>::with_stepping(&specs, Stepping::of(&specs, steps));
     let a_leak = Lanes::from_lanes(|lane| specs[lane.min(specs.len() - 1)].plant.leak_area_m2);
     let Some(first) = drive.first().map(|first| Input::gather(std::slice::from_ref(first))) else { return };
     let mut state = start.map_or_else(|| machine.start_at(&first), |start| machine.start_from(start, &first));

@@ -14,6 +14,7 @@ use crate::effects::{
 };
 use crate::real::{Lanes, Real};
 use crate::simd::law_in_lanes;
+use crate::spec::MachineSpec;
 
 /// Where a learned law acts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -341,6 +342,16 @@ pub fn of_open_loop() -> &'static [&'static LearnedLaw] {
         ALL.into_iter().filter(acts).collect()
     });
     &OPEN_LOOP
+}
+
+/// The largest friction of a machine's learned laws, N.
+pub(crate) fn largest_friction_n(machine: &MachineSpec) -> f64 {
+    let largest = |law: &&LearnedLaw| {
+        let values = machine.effect_values(*law as &dyn Effect);
+        values[ENDS..].iter().fold(0.0, |largest: f64, value| largest.max(value.abs()))
+    };
+    let frictions = ALL.iter().filter(|law| law.site == Site::Friction);
+    frictions.filter(|law| machine.effects.contains_key(law.info.key)).map(largest).sum()
 }
 
 /// The law of that key.

@@ -6,6 +6,7 @@ pub mod cycle;
 pub mod effects;
 pub mod electric;
 mod elementary;
+mod integration;
 pub mod learned;
 pub mod machine;
 pub mod noise;
@@ -22,6 +23,7 @@ pub mod spec;
 
 pub use controller::{Controller, ControllerKind};
 pub use cycle::{DutyCycle, Schedule};
+pub use integration::Steps;
 pub use machine::{Input, Machine, MachineState, SimulatedSignals};
 pub use plant::{Plant, PlantParameters, State};
 pub use real::{Lanes, Real};

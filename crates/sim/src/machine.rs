@@ -3,6 +3,7 @@
 use crate::controller::{Pid, PidState};
 use crate::cycle::{DriveSample, OpenLoopTick, RunStart};
 use crate::effects::{self, Constants, Law, Sensing, Substep};
+use crate::integration::{Method, Stepping};
 use crate::plant::{ActingLaws, Drive, Plant, State};
 use crate::real::Real;
 use crate::spec::MachineSpec;
@@ -91,6 +92,7 @@ pub struct Machine<T: Real> {
     /// Whether a law changes the control error.
     corrects_errors: bool,
     steps: usize,
+    method: Method,
     period: T,
     dt: T,
     start: (T, T),
@@ -121,10 +123,17 @@ impl<T: Real> Machine<T> {
     /// # Panics
     /// Where `specs` is empty.
     pub fn new(specs: &[&MachineSpec]) -> Self {
+        Self::with_stepping(specs, Stepping::own(specs))
+    }
+
+    /// The same with steps of any kind.
+    ///
+    /// # Panics
+    /// Where `specs` is empty.
+    pub(crate) fn with_stepping(specs: &[&MachineSpec], Stepping { steps, method }: Stepping) -> Self {
         let of = |lane: usize| specs[lane.min(specs.len() - 1)];
         let plants: Vec<_> = specs.iter().map(|spec| &spec.plant).collect();
         let controllers: Vec<_> = specs.iter().map(|spec| &spec.controller).collect();
-        let steps = specs[0].controller.steps_per_period;
         let period = T::from_lanes(|lane| of(lane).controller.period_s);
         let laws: Vec<Box<dyn Law<T>>> = effects::every()
             .filter(|effect| specs.iter().any(|spec| spec.effects.contains_key(effect.key())))
@@ -157,6 +166,7 @@ impl<T: Real> Machine<T> {
             corrects_errors,
             laws,
             steps,
+            method,
             period,
             dt,
             is_controlled: !specs[0].controller.is_none(),
@@ -301,7 +311,7 @@ impl<T: Real> Machine<T> {
             } else {
                 ActingLaws::NONE
             };
-            let next = self.plant.rk4(&state.plant, &drive, dt, &acting);
+            let next = self.plant.stepped(&self.method, &state.plant, &drive, dt, &acting);
             if self.has_states {
                 self.plant.advance_laws(&state.plant, &drive, dt, &self.laws, &mut state.memory);
             }

@@ -15,19 +15,16 @@
 //! With the default supply the relief valve never closes, so the pump's flow and the relief valve's two
 //! parameters act as one number.
 
-use nalgebra::{Matrix6, Schur};
+use nalgebra::{Complex, Matrix6, Schur, Vector6};
 use serde::{Deserialize, Serialize};
 
 use crate::cycle::RunStart;
 use crate::effects::{Law, Moment, Openings, Softening, Terms};
+use crate::integration::Method;
 use crate::real::Real;
 
 /// Iterations within which the eigenvalues of six states are found: some dozen are usual.
 const MOST_ITERATIONS: usize = 10_000;
-/// RK4 is stable on the negative real axis up to this product of step and eigenvalue (Hairer & Wanner,
-/// Solving Ordinary Differential Equations II, section IV.2).
-pub const RK4_STABILITY_LIMIT: f64 = 2.78;
-
 /// Share of the stroke within which a standing piston stands at its end.
 const AT_ITS_END: f64 = 0.01;
 
@@ -152,7 +149,7 @@ impl PlantParameters {
     /// The fastest eigenvalue at standstill, 1/s: of the linearised plant with no flow and the piston at
     /// either end, where the line's small volume meets the square-root law's steepest slope.
     pub fn fastest_eigenvalue_per_s(&self) -> f64 {
-        Plant::<f64>::new(&[self]).fastest_eigenvalue_per_s()
+        Plant::<f64>::new(&[self]).motion().fastest_per_s
     }
 }
 
@@ -203,7 +200,7 @@ pub struct State<T> {
 impl<T: Real> State<T> {
     /// `self + rate · h`, state by state.
     #[inline(always)]
-    fn advanced(&self, rate: &State<T>, h: T) -> State<T> {
+    pub(crate) fn advanced(&self, rate: &State<T>, h: T) -> State<T> {
         State {
             p_s: self.p_s + rate.p_s * h,
             p_3: self.p_3 + rate.p_3 * h,
@@ -211,6 +208,19 @@ impl<T: Real> State<T> {
             p_2: self.p_2 + rate.p_2 * h,
             x: self.x + rate.x * h,
             v: self.v + rate.v * h,
+        }
+    }
+
+    /// Every state that many times.
+    #[inline(always)]
+    pub(crate) fn times(&self, factor: T) -> State<T> {
+        State {
+            p_s: self.p_s * factor,
+            p_3: self.p_3 * factor,
+            p_1: self.p_1 * factor,
+            p_2: self.p_2 * factor,
+            x: self.x * factor,
+            v: self.v * factor,
         }
     }
 
@@ -241,6 +251,12 @@ pub struct Drive<T> {
 }
 
 impl<T: Real> Drive<T> {
+    /// The load at a share of the step.
+    #[inline(always)]
+    pub(crate) fn load_at(&self, share: f64) -> T {
+        self.load + (self.load_end - self.load) * T::splat(share)
+    }
+
     /// The plant in that state under this drive.
     #[inline(always)]
     fn moment<'a>(&self, plant: &'a Plant<T>, state: &'a State<T>, load: T) -> Moment<'a, T> {
@@ -438,6 +454,7 @@ impl<T: Real> Plant<T> {
     }
 
     /// Advances the laws' own states over a step that begins at `state`.
+    #[inline(always)]
     pub(crate) fn advance_laws(
         &self,
         state: &State<T>,
@@ -455,50 +472,24 @@ impl<T: Real> Plant<T> {
 
     /// Rates at a state under a load. No closure: only a function can be asked into the lanes' loop, whose instructions it must have.
     #[inline(always)]
-    fn rates_at(&self, at: &State<T>, load: T, drive: &Drive<T>, acting: &ActingLaws<'_, T>) -> State<T> {
-        self.rates(&drive.moment(self, at, load), acting)
-    }
-
-    /// One RK4 step of `dt` seconds under a held spool.
-    #[inline(always)]
-    pub(crate) fn rk4(
+    pub(crate) fn rates_at(
         &self,
-        state: &State<T>,
+        at: &State<T>,
+        load: T,
         drive: &Drive<T>,
-        dt: T,
         acting: &ActingLaws<'_, T>,
     ) -> State<T> {
-        let half = dt * T::splat(0.5);
-        let load_mid = (drive.load + drive.load_end) * T::splat(0.5);
-        // In a loop, so that the rates are compiled once for each instruction set.
-        let (mut at, mut rates) = (*state, [*state; 4]);
-        let loads = [drive.load, load_mid, load_mid, drive.load_end];
-        let lengths = [half, half, dt, dt];
-        for ((rate, load), length) in rates.iter_mut().zip(&loads).zip(&lengths) {
-            *rate = self.rates_at(&at, *load, drive, acting);
-            at = state.advanced(rate, *length);
-        }
-        let [k1, k2, k3, k4] = rates;
-        let two = T::splat(2.0);
-        let mean = State {
-            p_s: k1.p_s + two * (k2.p_s + k3.p_s) + k4.p_s,
-            p_3: k1.p_3 + two * (k2.p_3 + k3.p_3) + k4.p_3,
-            p_1: k1.p_1 + two * (k2.p_1 + k3.p_1) + k4.p_1,
-            p_2: k1.p_2 + two * (k2.p_2 + k3.p_2) + k4.p_2,
-            x: k1.x + two * (k2.x + k3.x) + k4.x,
-            v: k1.v + two * (k2.v + k3.v) + k4.v,
-        };
-        self.stopped(&state.advanced(&mean, dt * T::splat(1.0 / 6.0)))
+        self.rates(&drive.moment(self, at, load), acting)
     }
 
     /// One RK4 step of the plant alone, without effects; for tests and benches of the equations.
     pub fn step(&self, state: &State<T>, drive: &Drive<T>, dt: T) -> State<T> {
-        self.rk4(state, drive, dt, &ActingLaws::NONE)
+        self.stepped(&Method::RungeKutta4, state, drive, dt, &ActingLaws::NONE)
     }
 
     /// The inelastic end stops: driven into one, the piston stands there.
     #[inline(always)]
-    fn stopped(&self, state: &State<T>) -> State<T> {
+    pub(crate) fn stopped(&self, state: &State<T>) -> State<T> {
         let zero = T::splat(0.0);
         let beyond = state.x - self.stroke;
         let v = (-state.x).where_positive(state.v.max(zero), state.v);
@@ -506,15 +497,33 @@ impl<T: Real> Plant<T> {
     }
 }
 
+/// How a plant moves by itself at standstill, with the piston at either end; infinite where the plant's numbers overflow.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Motion {
+    /// Largest magnitude of an eigenvalue, 1/s.
+    pub(crate) fastest_per_s: f64,
+    /// Largest angular frequency, 1/s.
+    pub(crate) oscillation_per_s: f64,
+}
+
 impl Plant<f64> {
-    /// See [`PlantParameters::fastest_eigenvalue_per_s`].
-    pub(crate) fn fastest_eigenvalue_per_s(&self) -> f64 {
-        [0.0, self.stroke].map(|x| self.standstill_eigenvalue_per_s(x)).into_iter().fold(0.0, f64::max)
+    pub(crate) fn motion(&self) -> Motion {
+        let mut motion = Motion { fastest_per_s: 0.0, oscillation_per_s: 0.0 };
+        for x in [0.0, self.stroke] {
+            let Some(eigenvalues) = self.eigenvalues_at_standstill(x) else {
+                return Motion { fastest_per_s: f64::INFINITY, oscillation_per_s: f64::INFINITY };
+            };
+            for value in &eigenvalues {
+                motion.fastest_per_s = motion.fastest_per_s.max(value.norm());
+                motion.oscillation_per_s = motion.oscillation_per_s.max(value.im);
+            }
+        }
+        motion
     }
 
-    /// Magnitude of the fastest eigenvalue of the plant linearised at standstill with the valve closed and
-    /// no flow (every pressure the return's), 1/s; infinite where the plant's numbers overflow.
-    fn standstill_eigenvalue_per_s(&self, x: f64) -> f64 {
+    /// Of the plant linearised at standstill with the valve closed and no flow (every pressure the return's); none where its numbers
+    /// overflow.
+    fn eigenvalues_at_standstill(&self, x: f64) -> Option<Vector6<Complex<f64>>> {
         let at = State { p_s: self.p_r, p_3: self.p_r, p_1: self.p_r, p_2: self.p_r, x, v: 0.0 }.to_array();
         // Differences small against dp_t, so that the law is at its steepest; exact for the linear terms.
         let step = [1e2, 1e2, 1e2, 1e2, 1e-6, 1e-6];
@@ -530,9 +539,6 @@ impl Plant<f64> {
         });
         // The iteration has no end of its own where numbers overflow.
         let schur = Some(jacobian).filter(|jacobian| jacobian.iter().all(|rate| rate.is_finite()));
-        let schur = schur.and_then(|jacobian| Schur::try_new(jacobian, f64::EPSILON, MOST_ITERATIONS));
-        schur.map_or(f64::INFINITY, |schur| {
-            schur.complex_eigenvalues().iter().map(|value| value.norm()).fold(0.0, f64::max)
-        })
+        Some(Schur::try_new(schur?, f64::EPSILON, MOST_ITERATIONS)?.complex_eigenvalues())
     }
 }

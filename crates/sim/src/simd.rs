@@ -91,6 +91,9 @@ macro_rules! law_with {
             fn softens(&self) -> bool {
                 self.0.softens()
             }
+            fn goes_by_steps(&self) -> bool {
+                self.0.goes_by_steps()
+            }
             fn has_states(&self) -> bool {
                 self.0.has_states()
             }

@@ -7,9 +7,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::controller::{Controller, Pid};
 use crate::cycle::{DutyCycle, Move};
-use crate::effects::{self, Constants, Effect};
+use crate::effects::{self, Constants, Effect, Law};
+use crate::integration::RK4_STABILITY_LIMIT;
 use crate::learned;
-use crate::plant::{Plant, PlantParameters, RK4_STABILITY_LIMIT};
+use crate::plant::{Motion, Plant, PlantParameters};
 use crate::real::Real;
 use crate::sensor::{self, SensorError};
 use crate::size::Size;
@@ -193,28 +194,65 @@ impl MachineSpec {
         (eigenvalue_per_s * self.controller.period_s / RK4_STABILITY_LIMIT).ceil() as usize
     }
 
-    /// Magnitude of the fastest eigenvalue, 1/s, of the plant as its effects make it: some stiffen it, some soften it.
-    fn fastest_eigenvalue_per_s(&self) -> f64 {
+    /// The plant's fastest motion as its effects make it: some stiffen it, some soften it.
+    fn motion_with_effects(&self) -> Motion {
         let mut plant = Plant::<f64>::new(&[&self.plant]);
         let mut pid = Pid::new(&[&self.controller]);
         let mut dt = self.controller.period_s;
         let mut corrects_errors = false;
-        for effect in effects::every().filter(|effect| self.effects.contains_key(effect.key())) {
-            if let Some(law) = f64::law(effect, &self.effect_values(effect)) {
-                law.adjust(&mut Constants {
-                    plant: &mut plant,
-                    pid: &mut pid,
-                    dt: &mut dt,
-                    corrects_errors: &mut corrects_errors,
-                });
-            }
+        for law in self.laws() {
+            law.adjust(&mut Constants {
+                plant: &mut plant,
+                pid: &mut pid,
+                dt: &mut dt,
+                corrects_errors: &mut corrects_errors,
+            });
         }
-        plant.fastest_eigenvalue_per_s()
+        plant.motion()
+    }
+
+    /// The laws of the effects that it has.
+    fn laws(&self) -> impl Iterator<Item = Box<dyn Law<f64>>> {
+        effects::every()
+            .filter(|effect| self.effects.contains_key(effect.key()))
+            .filter_map(|effect| f64::law(effect, &self.effect_values(effect)))
+    }
+
+    /// The same with the friction at standstill, which damps oscillations there, and not under way.
+    pub(crate) fn motion(&self) -> Motion {
+        let motion = self.motion_with_effects();
+        let friction = effects::friction_at_standstill_n_s_per_m(self);
+        if friction == 0.0 {
+            return motion;
+        }
+        let mut standing = self.clone();
+        standing.plant.viscous_friction_n_s_per_m += friction;
+        let fastest_per_s = standing.motion_with_effects().fastest_per_s.max(motion.fastest_per_s);
+        Motion { fastest_per_s, ..motion }
+    }
+
+    /// Steps of RK4 in a controller period that keep plant and friction stable, and are as many as laws ask for.
+    pub(crate) fn least_steps(&self) -> usize {
+        let half = self.controller.steps_per_period.div_ceil(2);
+        let stable = self.steps_for(self.motion().fastest_per_s).min(MOST_STEPS);
+        half.max(self.steps_of_laws()).max(stable)
+    }
+
+    /// Steps in a controller period that laws ask for: half of the file's where one goes by them, all of them where one has states of its
+    /// own.
+    pub(crate) fn steps_of_laws(&self) -> usize {
+        let own = self.controller.steps_per_period;
+        let of_law = |law: Box<dyn Law<f64>>| match (law.has_states(), law.goes_by_steps()) {
+            (true, _) => own,
+            (false, true) => own.div_ceil(2),
+            (false, false) => 1,
+        };
+        self.laws().map(of_law).max().unwrap_or(1)
     }
 
     /// Steps in a controller period with which plant and effects are stable: the file's, or more where these make the plant stiffer.
     pub fn stable_steps(&self) -> usize {
-        let needed = self.steps_for(self.fastest_eigenvalue_per_s());
+        let needed = self.steps_for(self.motion_with_effects().fastest_per_s);
         // What went out of bounds stays there whatever the step.
         self.controller.steps_per_period.max(needed.min(MOST_STEPS))
     }
@@ -416,7 +454,7 @@ impl MachineSpec {
     }
 
     fn check_stability(&self) -> Result<(), SpecError> {
-        let eigenvalue_per_s = self.fastest_eigenvalue_per_s();
+        let eigenvalue_per_s = self.motion_with_effects().fastest_per_s;
         let steps = self.controller.steps_per_period;
         let product = eigenvalue_per_s * self.controller.period_s / steps as f64;
         if product <= RK4_STABILITY_LIMIT {

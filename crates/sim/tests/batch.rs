@@ -7,7 +7,7 @@ use seepd_sim::cycle::{CycleRun, OpenLoop};
 use seepd_sim::effects;
 use seepd_sim::noise::Noise;
 use seepd_sim::real::LANES;
-use seepd_sim::{Input, Machine, MachineSpec, PlantParameters, Schedule};
+use seepd_sim::{Input, Machine, MachineSpec, PlantParameters, Schedule, Steps};
 
 const TICKS: u64 = 11_000;
 
@@ -71,7 +71,7 @@ fn scalar(job: &Job) -> Vec<f64> {
 #[test]
 fn property_lanes_equal_the_scalar_machine_bit_for_bit() {
     let jobs = jobs(2 * LANES + 3);
-    let batched = commands(&jobs, |_, commands| commands.to_vec());
+    let batched = commands(&jobs, Steps::Own, |_, commands| commands.to_vec());
     assert_eq!(batched.len(), jobs.len());
     for (job, batched) in jobs.iter().zip(&batched) {
         for (tick, (a, b)) in scalar(job).iter().zip(batched).enumerate() {
@@ -83,9 +83,9 @@ fn property_lanes_equal_the_scalar_machine_bit_for_bit() {
 #[test]
 fn property_a_lane_alone_equals_itself_in_a_full_batch() {
     let jobs = jobs(LANES);
-    let full = commands(&jobs, |_, commands| commands.to_vec());
+    let full = commands(&jobs, Steps::Own, |_, commands| commands.to_vec());
     for (index, job) in jobs.iter().enumerate() {
-        let alone = commands(std::slice::from_ref(job), |_, commands| commands.to_vec());
+        let alone = commands(std::slice::from_ref(job), Steps::Own, |_, commands| commands.to_vec());
         assert_eq!(alone[0], full[index]);
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use seepd_sim::batch::{Job, run_lanes};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::effects::{self, Effect};
-use seepd_sim::{Input, Machine, MachineSpec, Schedule};
+use seepd_sim::{Input, Machine, MachineSpec, Schedule, Steps};
 
 fn with(effect: &dyn Effect, values: &[f64]) -> MachineSpec {
     let mut spec = MachineSpec::default();
@@ -82,7 +82,7 @@ fn neutral_lane_beside_an_acting_one_leaves_every_bit() {
             record_ticks: 10_000,
         });
         let mut neutral = Vec::new();
-        run_lanes(&jobs, |lane, record| {
+        run_lanes(&jobs, Steps::Own, |lane, record| {
             if lane == 1 {
                 neutral.push(record.command.0[1].to_bits());
             }

@@ -4,11 +4,11 @@ use seepd_features::statistics::CycleStatistics;
 use seepd_features::{CycleDefinition, CycleReader, Kalman, Outcome, Phase, Projections};
 use seepd_model::schema::Cycle;
 use seepd_signals::Sample;
-use seepd_sim::MachineSpec;
 use seepd_sim::batch::{self, Job};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
 use seepd_sim::series::{self, Tolerances};
+use seepd_sim::{MachineSpec, Steps};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -176,7 +176,7 @@ pub fn simulate<R: Send>(observations: &[Observation], reduce: impl Fn(usize, &[
             }
         })
         .collect();
-    batch::commands(&jobs, |index, commands| {
+    batch::commands(&jobs, Steps::Fewest, |index, commands| {
         let log_every = observations[index].spec.controller.log_every;
         if log_every == 1 {
             return reduce(index, commands);
@@ -310,7 +310,8 @@ mod tests {
         for (job, observation) in whole.iter().zip(&observations) {
             let one = std::slice::from_ref(observation);
             let short = simulate(one, |_, commands| commands.to_vec());
-            let long = batch::commands(std::slice::from_ref(job), |_, commands| commands.to_vec());
+            let long =
+                batch::commands(std::slice::from_ref(job), Steps::Fewest, |_, commands| commands.to_vec());
             assert_eq!(short[0].len(), long[0].len());
             let mean = |commands: &[f64], from: usize, to: usize| {
                 commands[1_000 + from..1_000 + to].iter().sum::<f64>() / (to - from) as f64

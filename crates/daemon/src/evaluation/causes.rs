@@ -10,6 +10,7 @@ use seepd_monitor::baseline::CusumFinding;
 use seepd_monitor::event::{CycleLine, Event, Flag};
 use seepd_monitor::pipeline::{MonitorConfig, Pipeline};
 use seepd_signals::Sample;
+use seepd_sim::Steps;
 use seepd_sim::batch::{Job, run_lanes};
 use seepd_sim::cycle::CycleRun;
 use seepd_sim::noise::Noise;
@@ -170,7 +171,7 @@ fn watch(model: &Arc<Model>, machines: &[PlantedCause], seed: u64) -> Result<Vec
             .collect();
         let steps = jobs.iter().map(|job| job.spec.stable_steps()).max().unwrap_or(1);
         jobs.iter_mut().for_each(|job| job.spec.controller.steps_per_period = steps);
-        run_lanes(&jobs, |lane, signals| {
+        run_lanes(&jobs, Steps::Own, |lane, signals| {
             let (Some((pipeline, noise, time_ns, answer)), Some(machine)) =
                 (lanes.get_mut(lane), machines.get(lane))
             else {

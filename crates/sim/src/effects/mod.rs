@@ -370,6 +370,11 @@ pub trait Law<T: Real>: Send + Sync {
         false
     }
 
+    /// Whether its spool moves step by step, so that what it does depends on the plant's steps.
+    fn goes_by_steps(&self) -> bool {
+        false
+    }
+
     /// Whether it has states of its own, which [`Law::advance`] advances.
     fn has_states(&self) -> bool {
         false
@@ -418,7 +423,7 @@ pub(crate) fn direction<T: Real>(speed: T) -> T {
 
 /// Slope of all friction over speed where the piston stands, N·s/m: around 0 friction is viscous, and as stiff as it ever is. Pressure
 /// friction counts as with the relief pressure on one side of the piston.
-pub fn friction_at_standstill_n_s_per_m(machine: &MachineSpec) -> f64 {
+pub(crate) fn friction_at_standstill_n_s_per_m(machine: &MachineSpec) -> f64 {
     let value = |effect: &str, parameter: &str| {
         machine.effects.get(effect).and_then(|values| values.get(parameter)).copied().unwrap_or(0.0)
     };
@@ -426,7 +431,8 @@ pub fn friction_at_standstill_n_s_per_m(machine: &MachineSpec) -> f64 {
     let pressed = machine.plant.cap_area_m2 * machine.plant.relief_pressure_pa;
     let force_n = value("coulomb_friction", "force_n")
         + stribeck
-        + value("pressure_friction", "coefficient") * pressed;
+        + value("pressure_friction", "coefficient") * pressed
+        + learned::largest_friction_n(machine);
     force_n / TRANSITION_SPEED_M_PER_S
 }
 

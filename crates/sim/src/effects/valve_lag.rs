@@ -23,6 +23,10 @@ impl<T: Real> Law<T> for SecondOrder<T> {
         false
     }
 
+    fn goes_by_steps(&self) -> bool {
+        true
+    }
+
     /// Spool position, and speed in 1/s.
     fn memory(&self) -> usize {
         2

@@ -22,6 +22,10 @@ impl<T: Real> Law<T> for RateLimit<T> {
         false
     }
 
+    fn goes_by_steps(&self) -> bool {
+        true
+    }
+
     fn memory(&self) -> usize {
         1
     }
