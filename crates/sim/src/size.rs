@@ -45,8 +45,28 @@ impl Size {
 
     /// The plausible range of an effect's parameter on a machine of that size, by the parameter's unit.
     pub fn range_of(&self, parameter: &Parameter) -> (f64, f64) {
+        let scale = self.scale_of(parameter);
+        let high = if self.overlaps_widely && parameter.name == ValveDeadband.parameters()[0].name {
+            WIDEST_DEADBAND
+        } else {
+            parameter.range.1
+        };
+        (scale * parameter.range.0, scale * high)
+    }
+
+    /// The range within which a plant file may have it: what goes with the size may have been found on the same machine before calibration
+    /// moved its pressure and its valve.
+    pub(crate) fn admitted_in_a_file(&self, parameter: &Parameter) -> (f64, f64) {
+        let (low, high) = self.range_of(parameter);
+        let moved_by = if GOES_WITH_THE_SIZE.contains(&parameter.unit) { CALIBRATION_MOVES_BY } else { 1.0 };
+        let low = if low < 0.0 { low * moved_by } else { low / moved_by };
+        (low, high * moved_by)
+    }
+
+    /// By how much more than on the nominal press a parameter may be.
+    fn scale_of(&self, parameter: &Parameter) -> f64 {
         let flow = self.valve * self.pressure.sqrt();
-        let scale = match parameter.unit {
+        match parameter.unit {
             "N" => self.force,
             "N/m" => self.force / self.length,
             "m3" => self.volume,
@@ -55,15 +75,15 @@ impl Size {
             "Pa s2/m6" => self.pressure / (flow * flow),
             "Pa" => self.pressure,
             _ => 1.0,
-        };
-        let high = if self.overlaps_widely && parameter.name == ValveDeadband.parameters()[0].name {
-            WIDEST_DEADBAND
-        } else {
-            parameter.range.1
-        };
-        (scale * parameter.range.0, scale * high)
+        }
     }
 }
+
+/// Units of what is larger on a larger machine.
+const GOES_WITH_THE_SIZE: [&str; 7] = ["N", "N/m", "m3", "m3/s", "m3/(s Pa)", "Pa s2/m6", "Pa"];
+/// Calibration may halve or double pressures and the valve's coefficient: forces and pressures move by one octave, flows by one and a half,
+/// and resistances by two.
+const CALIBRATION_MOVES_BY: f64 = 4.0;
 
 /// The nearest power of two; 1 for what is no size.
 fn octaves(ratio: f64) -> f64 {
@@ -111,6 +131,22 @@ mod tests {
         assert_eq!(Size::of(&with(0.15).unwrap()).range_of(half_width), (0.0, 0.15));
         assert_eq!(Size::of(&with(0.2).unwrap()).range_of(half_width), (0.0, 0.25));
         assert!(with(0.26).is_err());
+    }
+
+    /// A calibration that halves the relief pressure makes of the machine one of a smaller size, and its plant file is read all the same.
+    #[test]
+    fn what_was_found_before_calibration_is_admitted_in_a_file() {
+        let mut spec = MachineSpec::default();
+        spec.set_effect("shared_supply.flow_m3_per_s=4.9e-4").unwrap();
+        spec.set_effect("coulomb_friction.force_n=4900").unwrap();
+        spec.set_effect("valve_bias.offset=0.04").unwrap();
+        spec.plant.relief_pressure_pa *= 0.5;
+        spec.plant.valve_m3_per_s_sqrt_pa *= 0.5;
+        spec.check().unwrap();
+        // What the command line asks for is asked for this machine.
+        assert!(spec.set_effect("coulomb_friction.force_n=4900").is_err());
+        spec.effects.get_mut("valve_bias").unwrap().insert("offset".into(), 0.9);
+        assert!(spec.check().is_err());
     }
 
     #[test]

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::controller::{Controller, Pid};
 use crate::cycle::{DutyCycle, Move};
-use crate::effects::{self, Constants, Effect, Law};
+use crate::effects::{self, Constants, Effect, Law, Parameter};
 use crate::integration::RK4_STABILITY_LIMIT;
 use crate::learned;
 use crate::plant::{Motion, Plant, PlantParameters};
@@ -291,7 +291,8 @@ impl MachineSpec {
             assignment: assignment.to_owned(),
         })?;
         self.effects.entry(effect.trim().into()).or_default().insert(parameter.trim().into(), value);
-        self.check_effects(Size::of(self))
+        let size = Size::of(self);
+        self.check_effects(|parameter| size.range_of(parameter))
     }
 
     /// Checks every value, and that the plant is stable at its step.
@@ -326,7 +327,7 @@ impl MachineSpec {
         if !self.controller.is_none() {
             self.check_cycle()?;
         }
-        self.check_effects(size)?;
+        self.check_effects(|parameter| size.admitted_in_a_file(parameter))?;
         self.check_stability()
     }
 
@@ -411,7 +412,7 @@ impl MachineSpec {
         Ok(())
     }
 
-    fn check_effects(&self, size: Size) -> Result<(), SpecError> {
+    fn check_effects(&self, range_of: impl Fn(&Parameter) -> (f64, f64)) -> Result<(), SpecError> {
         for (key, values) in &self.effects {
             let Some(effect) = effects::every().find(|effect| effect.key() == key) else {
                 let known: Vec<&str> = effects::every().map(|effect| effect.key()).collect();
@@ -427,7 +428,7 @@ impl MachineSpec {
                     return Err(unknown_name(format!("effects.{key}"), name, &known));
                 };
                 if *value != parameter.neutral {
-                    let (low, high) = size.range_of(parameter);
+                    let (low, high) = range_of(parameter);
                     in_range(format!("effects.{key}.{name}"), *value, low, high)?;
                 }
             }
