@@ -237,12 +237,17 @@ pub fn planned(
             true => (from.saturating_sub((to - from) / 20), to + (to - from) / 20),
             false => (0, ticks),
         };
-        let leaves = (hold_before.max(earliest)..from)
+        // A command that is not at rest in the middle of a hold does not come to rest there: over a dead band it drifts from one edge to the
+        // other. The stroke's own edges are taken then.
+        let (first, last) = (hold_before.max(earliest), middle_of_hold(&edges, index, ticks).min(latest));
+        let leaves = (first..from)
             .find(|tick| (command[*tick] - rest_before).abs() > NEAR * peak)
+            .filter(|tick| *tick > first || has_open_loop)
             .unwrap_or(from);
-        let returns = (to..hold_after.min(latest))
+        let returns = (to..last)
             .rev()
             .find(|tick| (command[*tick] - rest_after).abs() > NEAR * peak)
+            .filter(|tick| tick + 1 < last || has_open_loop)
             .map_or(to, |tick| tick + 1);
         moves.push((stroke.name.clone(), leaves, returns.max(leaves + 2)));
     }
@@ -267,6 +272,11 @@ pub fn planned(
         }
     });
     DutyCycle { period_s: ticks as f64 * tick_s, moves: strokes.collect(), load }
+}
+
+/// Middle of the hold after a stroke; the cycle's end ends the last one.
+fn middle_of_hold(edges: &[(usize, usize)], index: usize, ticks: usize) -> usize {
+    edges[index].1.midpoint(edges.get(index + 1).map_or(ticks, |next| next.0))
 }
 
 /// Middle of each hold: before the first stroke, between strokes, and after the last one.
@@ -366,6 +376,8 @@ fn bounds(values: &[f64]) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::duty_cycle::{CycleStroke, Duration};
+    use crate::strokes::Guide;
 
     /// The nominal press's own command leads back to its own demand.
     #[test]
@@ -380,6 +392,57 @@ mod tests {
         assert_eq!(asked.shrunk, 1.0);
         let way = range(&asked.demand_m);
         assert!((way / range(&demand) - 1.0).abs() < 0.05, "{way}");
+    }
+
+    /// Over an overlap a hold's command drifts from one edge of the dead band to the other: the stroke ends where the demand stands, not
+    /// where the drift ends, which may be the cycle's end. A loop that settles early in its hold ends its stroke where it has.
+    #[test]
+    fn a_command_that_drifts_through_its_hold_does_not_make_the_stroke_longer() {
+        let (ticks, tick_s) = (2_000, 0.01);
+        let stroke = |name: &str, from_s: f64, to_s: f64, way: f64| CycleStroke {
+            name: name.into(),
+            from_s,
+            to_s,
+            way,
+            hold_after: Duration { median_s: 8.0, least_s: 8.0, most_s: 8.0 },
+            open_loop: None,
+        };
+        let found = FoundCycle {
+            guide: Guide::Demand,
+            period_s: 20.0,
+            period: Duration { median_s: 20.0, least_s: 20.0, most_s: 20.0 },
+            strokes: vec![stroke("extend", 1.0, 3.0, 0.1), stroke("retract", 11.0, 13.0, -0.1)],
+            cycles: Vec::new(),
+            left_out: 0,
+            rest: 0.0,
+        };
+        let demand: Vec<f64> = (0..ticks)
+            .map(|tick| match tick as f64 * tick_s {
+                at_s if at_s < 1.0 => 0.1,
+                at_s if at_s < 3.0 => 0.1 + 0.05 * (at_s - 1.0),
+                at_s if at_s < 11.0 => 0.2,
+                at_s if at_s < 13.0 => 0.2 - 0.05 * (at_s - 11.0),
+                _ => 0.1,
+            })
+            .collect();
+        let ends_s = |time_constant_s: f64| -> Vec<(f64, f64)> {
+            let after = |since_s: f64, side: f64| side * (0.25 * (-since_s / time_constant_s).exp() - 0.09);
+            let command: Vec<f64> = (0..ticks)
+                .map(|tick| match tick as f64 * tick_s {
+                    at_s if at_s < 1.0 => after(at_s + 7.0, -1.0),
+                    at_s if at_s < 3.0 => 0.4,
+                    at_s if at_s < 11.0 => after(at_s - 3.0, 1.0),
+                    at_s if at_s < 13.0 => -0.4,
+                    at_s => after(at_s - 13.0, -1.0),
+                })
+                .collect();
+            let cycle = planned(&found, &demand, &command, Vec::new(), tick_s);
+            cycle.moves.iter().map(|stroke| (stroke.from_s, stroke.to_s)).collect()
+        };
+        assert_eq!(ends_s(5.0), [(1.0, 3.0), (11.0, 13.0)]);
+        let settled = ends_s(0.05);
+        let late = |((_, to_s), stands_s): (&(f64, f64), f64)| (0.1..0.3).contains(&(to_s - stands_s));
+        assert!(settled.iter().zip([3.0, 13.0]).all(late), "{settled:?}");
     }
 
     #[test]
