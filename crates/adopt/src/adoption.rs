@@ -128,6 +128,15 @@ pub enum AdoptionError {
         /// RMS difference over the command's range, %.
         percent: f64,
     },
+    /// The same without the valve's flow, which the command alone does not tell.
+    #[error(
+        "the simulated command differs from the log's by {percent:.0} % of its range, and neither log nor machine data tell how much the valve \
+         passes: give `valve.rated_flow_lpm` and `valve.rated_at_bar` from the valve's plate or data sheet, or a log with the position"
+    )]
+    UnknownValve {
+        /// RMS difference over the command's range, %.
+        percent: f64,
+    },
     /// The plant that came out is none.
     #[error("no plant could be made of these data: {0}")]
     Plant(#[from] SpecError),
@@ -169,7 +178,20 @@ pub fn adopt(
         speed_m_per_s: speed,
     };
     let described = describe(data, &logged)?;
-    Adopter { recording, found, described, remarks: Vec::new() }.adopt(&logged)
+    let adopted = Adopter { recording, found, described, remarks: Vec::new() }.adopt(&logged);
+    adopted.map_err(|error| error.for_want_of_the_valve(data, positions.is_some()))
+}
+
+impl AdoptionError {
+    /// The same; where neither log nor data tell the valve's flow, that is what is asked for.
+    fn for_want_of_the_valve(self, data: &MachineData, has_positions: bool) -> Self {
+        match self {
+            AdoptionError::Unlike { percent } if !has_positions && data.valve.rated_flow_lpm.is_none() => {
+                AdoptionError::UnknownValve { percent }
+            }
+            other => other,
+        }
+    }
 }
 
 /// Checks that the piston moves as the valve is opened.
@@ -676,5 +698,24 @@ impl Adoption {
             if is_together(key) { LEAST_TOLERANCE } else { value.tolerance.min(LARGEST_TOLERANCE) }
         };
         self.values.iter().map(|(key, value)| ((*key).to_owned(), tolerance(key, value))).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_valve_that_nobody_tells_is_asked_for() {
+        let refusal = |machine: &str, has_positions: bool| {
+            let data = MachineData::from_toml(machine).unwrap();
+            AdoptionError::Unlike { percent: 31.0 }.for_want_of_the_valve(&data, has_positions).to_string()
+        };
+        let without = "[cylinder]\nbore_mm = 160\nrod_mm = 70\n";
+        let with = "[cylinder]\nbore_mm = 160\nrod_mm = 70\n[valve]\nrated_flow_lpm = 32\n";
+        assert!(refusal(without, false).contains("give `valve.rated_flow_lpm`"));
+        // A position tells it, and who gives it is not asked again.
+        assert!(refusal(without, true).contains("no hydraulic axis"));
+        assert!(refusal(with, false).contains("no hydraulic axis"));
     }
 }
