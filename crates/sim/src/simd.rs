@@ -1,6 +1,8 @@
 //! The widest instructions that this processor has, picked when the program runs.
 
-use crate::effects::{Constants, Law, Moment, Openings, Sensing, Softening, Substep, Terms};
+use crate::effects::Law;
+#[cfg(target_arch = "x86_64")]
+use crate::effects::{Constants, Moment, Openings, Sensing, Softening, Substep, Terms};
 use crate::real::Lanes;
 
 /// Instruction sets in which lanes are compiled.
