@@ -282,7 +282,7 @@ fn middle_of_hold(edges: &[(usize, usize)], index: usize, ticks: usize) -> usize
 /// Middle of each hold: before the first stroke, between strokes, and after the last one.
 fn middles(edges: &[(usize, usize)], ticks: usize) -> Vec<usize> {
     let mut middles = vec![0];
-    middles.extend(edges.windows(2).map(|pair| pair[0].1.midpoint(pair[1].0)));
+    middles.extend((1..edges.len()).map(|next| middle_of_hold(edges, next - 1, ticks)));
     middles.push(ticks);
     middles
 }

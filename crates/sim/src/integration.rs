@@ -70,10 +70,12 @@ impl Stepping {
     }
 
     fn fewest(machines: &[&MachineSpec]) -> Self {
-        let classical = machines.iter().map(|machine| machine.least_steps()).max().unwrap_or(1);
         let asked = machines.iter().map(|machine| machine.steps_of_laws()).max().unwrap_or(1);
         let motions: Vec<(f64, Motion)> =
             machines.iter().map(|machine| (machine.controller.period_s, machine.motion())).collect();
+        let classical_of =
+            |(machine, (_, motion)): (&&MachineSpec, &(f64, Motion))| machine.least_steps(motion);
+        let classical = machines.iter().zip(&motions).map(classical_of).fold(asked, usize::max);
         let stable = |steps: usize| {
             let is_stable = |method: &Chebyshev| {
                 motions.iter().all(|(period_s, motion)| method.is_stable(period_s / steps as f64, motion))

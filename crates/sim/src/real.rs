@@ -148,11 +148,7 @@ impl Neg for Lanes {
     type Output = Lanes;
     #[inline(always)]
     fn neg(self) -> Lanes {
-        let mut out = self;
-        for a in &mut out.0 {
-            *a = -*a;
-        }
-        out
+        self.lanewise(|a| -a)
     }
 }
 impl AddAssign for Lanes {
@@ -174,6 +170,15 @@ impl Lanes {
     fn lanewise(mut self, function: impl Fn(f64) -> f64) -> Self {
         for a in &mut self.0 {
             *a = function(*a);
+        }
+        self
+    }
+
+    /// The same of each lane and its like.
+    #[inline(always)]
+    fn pairwise(mut self, other: Self, function: impl Fn(f64, f64) -> f64) -> Self {
+        for lane in 0..LANES {
+            self.0[lane] = function(self.0[lane], other.0[lane]);
         }
         self
     }
@@ -225,29 +230,20 @@ impl Real for Lanes {
         self.lanewise(elementary::tanh)
     }
     #[inline(always)]
-    fn pow(mut self, exponent: Self) -> Self {
-        for lane in 0..LANES {
-            self.0[lane] = elementary::pow(self.0[lane], exponent.0[lane]);
-        }
-        self
+    fn pow(self, exponent: Self) -> Self {
+        self.pairwise(exponent, elementary::pow)
     }
     #[inline(always)]
     fn reciprocal_fourth_root(self) -> Self {
         self.lanewise(elementary::reciprocal_fourth_root)
     }
     #[inline(always)]
-    fn max(mut self, other: Self) -> Self {
-        for lane in 0..LANES {
-            self.0[lane] = Real::max(self.0[lane], other.0[lane]);
-        }
-        self
+    fn max(self, other: Self) -> Self {
+        self.pairwise(other, Real::max)
     }
     #[inline(always)]
-    fn min(mut self, other: Self) -> Self {
-        for lane in 0..LANES {
-            self.0[lane] = Real::min(self.0[lane], other.0[lane]);
-        }
-        self
+    fn min(self, other: Self) -> Self {
+        self.pairwise(other, Real::min)
     }
     #[inline(always)]
     fn where_positive(self, if_positive: Self, otherwise: Self) -> Self {

@@ -82,7 +82,17 @@ macro_rules! law_with {
     ($name:ident, $with:ident) => {
         struct $name<L>(L);
 
-        #[expect(unsafe_code, reason = "made where the processor has these instructions")]
+        impl<L> $name<L> {
+            /// Runs what is inlined into it under these instructions.
+            #[inline(always)]
+            fn run<R>(work: impl FnOnce() -> R) -> R {
+                #[expect(unsafe_code, reason = "made where the processor has these instructions")]
+                unsafe {
+                    $with(work)
+                }
+            }
+        }
+
         impl<L: Law<Lanes>> Law<Lanes> for $name<L> {
             fn memory(&self) -> usize {
                 self.0.memory()
@@ -106,44 +116,34 @@ macro_rules! law_with {
                 self.0.correct(error)
             }
             fn sense(&self, memory: &mut [Lanes], position: Lanes, sensing: &Sensing<Lanes>) -> Lanes {
-                unsafe {
-                    $with(
-                        #[inline(always)]
-                        || self.0.sense(memory, position, sensing),
-                    )
-                }
+                Self::run(
+                    #[inline(always)]
+                    || self.0.sense(memory, position, sensing),
+                )
             }
             fn spool(&self, memory: &mut [Lanes], command: Lanes, substep: &Substep<Lanes>) -> Lanes {
-                unsafe {
-                    $with(
-                        #[inline(always)]
-                        || self.0.spool(memory, command, substep),
-                    )
-                }
+                Self::run(
+                    #[inline(always)]
+                    || self.0.spool(memory, command, substep),
+                )
             }
             fn open(&self, moment: &Moment<'_, Lanes>, openings: &mut Openings<Lanes>) {
-                unsafe {
-                    $with(
-                        #[inline(always)]
-                        || self.0.open(moment, openings),
-                    );
-                }
+                Self::run(
+                    #[inline(always)]
+                    || self.0.open(moment, openings),
+                );
             }
             fn act(&self, memory: &[Lanes], moment: &Moment<'_, Lanes>, terms: &mut Terms<Lanes>) {
-                unsafe {
-                    $with(
-                        #[inline(always)]
-                        || self.0.act(memory, moment, terms),
-                    );
-                }
+                Self::run(
+                    #[inline(always)]
+                    || self.0.act(memory, moment, terms),
+                );
             }
             fn soften(&self, moment: &Moment<'_, Lanes>, softening: &mut Softening<Lanes>) {
-                unsafe {
-                    $with(
-                        #[inline(always)]
-                        || self.0.soften(moment, softening),
-                    );
-                }
+                Self::run(
+                    #[inline(always)]
+                    || self.0.soften(moment, softening),
+                );
             }
             fn advance(
                 &self,
@@ -152,12 +152,10 @@ macro_rules! law_with {
                 terms: &Terms<Lanes>,
                 dt: Lanes,
             ) {
-                unsafe {
-                    $with(
-                        #[inline(always)]
-                        || self.0.advance(memory, moment, terms, dt),
-                    );
-                }
+                Self::run(
+                    #[inline(always)]
+                    || self.0.advance(memory, moment, terms, dt),
+                );
             }
         }
     };

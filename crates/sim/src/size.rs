@@ -45,7 +45,7 @@ impl Size {
 
     /// The plausible range of an effect's parameter on a machine of that size, by the parameter's unit.
     pub fn range_of(&self, parameter: &Parameter) -> (f64, f64) {
-        let scale = self.scale_of(parameter);
+        let scale = self.scale_of(parameter).unwrap_or(1.0);
         let high = if self.overlaps_widely && parameter.name == ValveDeadband.parameters()[0].name {
             WIDEST_DEADBAND
         } else {
@@ -58,15 +58,15 @@ impl Size {
     /// moved its pressure and its valve.
     pub(crate) fn admitted_in_a_file(&self, parameter: &Parameter) -> (f64, f64) {
         let (low, high) = self.range_of(parameter);
-        let moved_by = if GOES_WITH_THE_SIZE.contains(&parameter.unit) { CALIBRATION_MOVES_BY } else { 1.0 };
+        let moved_by = self.scale_of(parameter).map_or(1.0, |_| CALIBRATION_MOVES_BY);
         let low = if low < 0.0 { low * moved_by } else { low / moved_by };
         (low, high * moved_by)
     }
 
-    /// By how much more than on the nominal press a parameter may be.
-    fn scale_of(&self, parameter: &Parameter) -> f64 {
+    /// By how much more than on the nominal press a parameter may be, if its unit is one of what goes with the size.
+    fn scale_of(&self, parameter: &Parameter) -> Option<f64> {
         let flow = self.valve * self.pressure.sqrt();
-        match parameter.unit {
+        Some(match parameter.unit {
             "N" => self.force,
             "N/m" => self.force / self.length,
             "m3" => self.volume,
@@ -74,13 +74,11 @@ impl Size {
             "m3/(s Pa)" => flow / self.pressure,
             "Pa s2/m6" => self.pressure / (flow * flow),
             "Pa" => self.pressure,
-            _ => 1.0,
-        }
+            _ => return None,
+        })
     }
 }
 
-/// Units of what is larger on a larger machine.
-const GOES_WITH_THE_SIZE: [&str; 7] = ["N", "N/m", "m3", "m3/s", "m3/(s Pa)", "Pa s2/m6", "Pa"];
 /// Calibration may halve or double pressures and the valve's coefficient: forces and pressures move by one octave, flows by one and a half,
 /// and resistances by two.
 const CALIBRATION_MOVES_BY: f64 = 4.0;

@@ -231,11 +231,10 @@ impl MachineSpec {
         Motion { fastest_per_s, ..motion }
     }
 
-    /// Steps of RK4 in a controller period that keep plant and friction stable, and are as many as laws ask for.
-    pub(crate) fn least_steps(&self) -> usize {
+    /// Steps of RK4 in a controller period that keep a plant stable that moves like this: half of the file's where they do.
+    pub(crate) fn least_steps(&self, motion: &Motion) -> usize {
         let half = self.controller.steps_per_period.div_ceil(2);
-        let stable = self.steps_for(self.motion().fastest_per_s).min(MOST_STEPS);
-        half.max(self.steps_of_laws()).max(stable)
+        half.max(self.steps_for(motion.fastest_per_s).min(MOST_STEPS))
     }
 
     /// Steps in a controller period that laws ask for: half of the file's where one goes by them, all of them where one has states of its
