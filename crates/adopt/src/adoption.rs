@@ -307,7 +307,7 @@ impl Adopter<'_> {
         let uncompensated: Vec<f64> = command.iter().map(|u| spec.controller.uncompensated(*u)).collect();
         let tick_s = spec.controller.period_s;
         let open = self.found.open_ticks(tick_s);
-        let fitted = fit_gains(&uncompensated, demand, position, tick_s, &open);
+        let fitted = fit_gains(&uncompensated, demand, position, tick_s, &open, self.described.controller);
         let Some(gains) = fitted.filter(|gains| gains.explained > EXPLAINED) else {
             let share = 100.0 * fitted.map_or(0.0, |gains| gains.explained.max(0.0));
             self.remarks.push(format!(

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
+use crate::machine_data::ControllerKind;
 use crate::strokes::slope;
 
 /// Gains that were found.
@@ -30,18 +31,32 @@ const WORTH: f64 = 0.05;
 /// A rest of this share of the command's variance has nothing left to explain.
 const DONE: f64 = 1e-6;
 
+/// Terms of a control law, in the order of how usual they are.
+const TERMS: usize = 5;
+const INTEGRAL: usize = 1;
+const BRAKING: usize = 3;
+const JUMP: usize = 4;
+/// Outputs of the control law over which controllers let their jump grow, shares of full command: none lets it flip with the last bit.
+const JUMP_GROWS_OVER: [f64; 6] = [1e-3, 2e-3, 3e-3, 5e-3, 8e-3, 12e-3];
+/// Largest jump that is looked for, share of full command.
+const LARGEST_JUMP: f64 = 0.3;
+/// Regressions after which a jump fits the commands that it is part of.
+const JUMP_ROUNDS: usize = 5;
+
 /// Ticks around an open-loop part that are left out with it: speeds there are of both.
 const BESIDE: usize = 2;
 
 /// Regresses the command of a mean cycle on error, its integral, the speeds of position and demand, and the command's sign, where the
-/// controller makes it: `open` are the ticks of its open-loop parts. `None` where the error explains nothing or a gain comes out with the
-/// wrong sign.
+/// controller makes it: `open` are the ticks of its open-loop parts. Of all laws that the controller's kind allows, the one is taken whose
+/// every term is worth it: terms that stand for each other, as an integral for a jump over the dead band, cannot be taken one by one. `None`
+/// where no law with gains of the right sign explains anything.
 pub fn fit_gains(
     command: &[f64],
     demand: &[f64],
     position: &[f64],
     tick_s: f64,
     open: &[Range<usize>],
+    kind: Option<ControllerKind>,
 ) -> Option<FittedGains> {
     let ticks = command.len().min(demand.len()).min(position.len());
     let is_open = |tick: usize| open.iter().any(|part| part.contains(&tick));
@@ -64,12 +79,12 @@ pub fn fit_gains(
         }
     }
     let integrals: Vec<f64> = (0..ticks).map(integrated).collect();
-    let terms: [Vec<f64>; 5] = [
+    let terms: [Vec<f64>; TERMS] = [
         errors,
         integrals,
         (0..ticks).map(|tick| speed(demand, tick)).collect(),
         (0..ticks).map(|tick| -speed(position, tick)).collect(),
-        command.iter().take(ticks).map(|u| (u / 0.003).clamp(-1.0, 1.0)).collect(),
+        jumps(&command[..ticks], JUMP_GROWS_OVER[0]),
     ];
     let beside = |tick: usize| {
         open.iter().any(|part| (part.start.saturating_sub(BESIDE)..part.end + BESIDE).contains(&tick))
@@ -79,40 +94,84 @@ pub fn fit_gains(
     if used.len() < 50 {
         return None;
     }
-    let mean = used.iter().map(|tick| command[*tick]).sum::<f64>() / used.len() as f64;
-    let total: f64 = used.iter().map(|tick| (command[*tick] - mean).powi(2)).sum();
-    // Terms come in the order of how usual they are, and stay where they are worth it and have the right sign.
-    let mut chosen = vec![0];
-    let mut best = regressed(&terms, &chosen, command, &used)?;
-    for term in 1..terms.len() {
-        if best.1 < DONE * total {
-            break;
-        }
-        let mut with = chosen.clone();
-        with.push(term);
-        let Some(next) = regressed(&terms, &with, command, &used) else { continue };
-        if next.1 < (1.0 - WORTH) * best.1 && next.0.iter().all(|gain| *gain >= 0.0) {
-            (chosen, best) = (with, next);
-        }
-    }
-    let gain = |term: usize| chosen.iter().position(|of| *of == term).map_or(0.0, |index| best.0[index]);
+    let worth_of = |left: f64, terms: usize| left.max(DONE) / (1.0 - WORTH).powi(terms as i32);
+    let (chosen, fit) = laws(kind)
+        .filter_map(|law| fitted(&terms, &law, &command[..ticks], &used).map(|fit| (law, fit)))
+        .filter(|(_, fit)| fit.gains.iter().all(|gain| *gain >= 0.0))
+        .min_by(|(a, fit_a), (b, fit_b)| {
+            worth_of(fit_a.left, a.len()).total_cmp(&worth_of(fit_b.left, b.len()))
+        })?;
+    let gain = |term: usize| chosen.iter().position(|of| *of == term).map_or(0.0, |index| fit.gains[index]);
     (gain(0) > 0.0).then(|| FittedGains {
         kp: gain(0),
         ki: gain(1),
         feed_forward: gain(2),
         kd: gain(3),
         compensation: gain(4),
-        explained: 1.0 - best.1 / total,
+        explained: 1.0 - fit.left,
     })
 }
 
-/// Least squares of the command on some terms and a constant: coefficients without the constant's, and the sum of squares that is left.
-fn regressed(
-    terms: &[Vec<f64>; 5],
-    chosen: &[usize],
-    command: &[f64],
-    used: &[usize],
-) -> Option<(Vec<f64>, f64)> {
+/// Every set of terms with the error that a controller of that kind may have, those of fewer and more usual terms first.
+fn laws(kind: Option<ControllerKind>) -> impl Iterator<Item = Vec<usize>> {
+    let is_allowed = move |law: &Vec<usize>| match kind {
+        Some(ControllerKind::P) => !law.contains(&INTEGRAL) && !law.contains(&BRAKING),
+        Some(ControllerKind::Pi) => !law.contains(&BRAKING),
+        Some(ControllerKind::Pid) | None => true,
+    };
+    let beside = 1..1_usize << (TERMS - 1);
+    let law = |beside: usize| -> Vec<usize> {
+        std::iter::once(0).chain((1..TERMS).filter(|term| beside & (1 << (term - 1)) != 0)).collect()
+    };
+    std::iter::once(0).chain(beside).map(law).filter(is_allowed)
+}
+
+/// Where in its jump over the dead band a controller is, −1 … 1, tick by tick: the jump is done where the command exceeds it and the output
+/// over which it grows.
+fn jumps(command: &[f64], done_at: f64) -> Vec<f64> {
+    command.iter().map(|u| (u / done_at).clamp(-1.0, 1.0)).collect()
+}
+
+/// A law's gains, in the order of its terms, and the share of the variance of what it explains that it leaves.
+#[derive(Debug, Clone)]
+struct Fit {
+    gains: Vec<f64>,
+    left: f64,
+}
+
+/// The gains of a law and what they leave. A jump is part of the command that tells where it is: both are found in turns, for each way that
+/// controllers let it grow; what counts is how well the law explains what it gave before the jump.
+fn fitted(terms: &[Vec<f64>; TERMS], law: &[usize], command: &[f64], used: &[usize]) -> Option<Fit> {
+    let Some((JUMP, rest_of_law)) = law.split_last().map(|(last, others)| (*last, others)) else {
+        return regressed(terms, law, command, used);
+    };
+    let mut terms = terms.clone();
+    let mut best: Option<Fit> = None;
+    for grows_over in JUMP_GROWS_OVER {
+        let mut jump = 0.0;
+        for _ in 0..JUMP_ROUNDS {
+            terms[JUMP] = jumps(command, jump + grows_over);
+            let gains = regressed(&terms, law, command, used)?.gains;
+            jump = gains.last()?.clamp(0.0, LARGEST_JUMP);
+            let output = without_jump(command, jump, grows_over);
+            let mut fit = regressed(&terms, rest_of_law, &output, used)?;
+            fit.gains.push(jump);
+            if best.as_ref().is_none_or(|best| fit.left < best.left) {
+                best = Some(fit);
+            }
+        }
+    }
+    best
+}
+
+/// What a control law gave before its jump over the dead band.
+fn without_jump(command: &[f64], jump: f64, grows_over: f64) -> Vec<f64> {
+    let jumped = jumps(command, jump + grows_over);
+    command.iter().zip(jumped).map(|(u, share)| u - jump * share).collect()
+}
+
+/// Least squares of the command on some terms and a constant.
+fn regressed(terms: &[Vec<f64>; TERMS], chosen: &[usize], command: &[f64], used: &[usize]) -> Option<Fit> {
     let columns = chosen.len() + 1;
     let matrix = DMatrix::from_fn(used.len(), columns, |row, column| {
         chosen.get(column).map_or(1.0, |term| terms[*term][used[row]])
@@ -122,6 +181,60 @@ fn regressed(
     let scaled = DMatrix::from_fn(used.len(), columns, |row, column| matrix[(row, column)] / scales[column]);
     let normal = scaled.tr_mul(&scaled) + DMatrix::identity(columns, columns) * 1e-12;
     let solution = normal.cholesky()?.solve(&scaled.tr_mul(&right));
-    let rest = (&scaled * &solution - right).norm_squared();
-    Some(((0..chosen.len()).map(|column| solution[column] / scales[column]).collect(), rest))
+    let mean = right.mean();
+    let total: f64 = right.iter().map(|u| (u - mean).powi(2)).sum();
+    let left = (&scaled * &solution - right).norm_squared() / total.max(f64::MIN_POSITIVE);
+    Some(Fit { gains: (0..chosen.len()).map(|column| solution[column] / scales[column]).collect(), left })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TICK_S: f64 = 0.01;
+
+    /// A piston that follows two moves with a lag and creeps in its holds, and what a controller gives for it, without noise.
+    fn logged(law: impl Fn(f64, f64, f64) -> f64) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
+        let mut demand = vec![0.1_f64];
+        for tick in 0..2000 {
+            let target: f64 = if (300..1200).contains(&tick) { 0.4 } else { 0.1 };
+            let last = demand[tick];
+            demand.push(last + (0.02 * (target - last)).clamp(-8e-4, 8e-4));
+        }
+        let (mut x, mut integral) = (0.1004, 0.0);
+        let mut position = Vec::new();
+        let mut command = Vec::new();
+        for tick in 0..2000 {
+            position.push(x);
+            let error = demand[tick] - x;
+            integral += error * TICK_S;
+            command.push(law(error, integral, (demand[tick + 1] - demand[tick]) / TICK_S));
+            x += 0.08 * error;
+        }
+        demand.truncate(2000);
+        (command, demand, position)
+    }
+
+    /// A P controller with a jump: its holds stand within the jump, which an integral would explain as well where it is taken first.
+    #[test]
+    fn a_jump_over_the_dead_band_is_no_integral() {
+        let jumping = |output: f64| output + 0.12 * (output / 5e-3).clamp(-1.0, 1.0);
+        let (command, demand, position) =
+            logged(|error, _, speed| jumping(60.0 * error + 2.0 * speed).clamp(-1.0, 1.0));
+        let gains = fit_gains(&command, &demand, &position, TICK_S, &[], None).unwrap();
+        let is_near = |found: f64, truth: f64| (found / truth - 1.0).abs() < 0.02;
+        assert!(is_near(gains.kp, 60.0) && is_near(gains.compensation, 0.12), "{gains:?}");
+        assert!((gains.ki, gains.kd) == (0.0, 0.0) && gains.explained > 0.9999, "{gains:?}");
+    }
+
+    #[test]
+    fn a_law_that_the_user_knows_has_no_other_terms() {
+        let (command, demand, position) = logged(|error, integral, _| 20.0 * error + 15.0 * integral);
+        let fit = |kind| fit_gains(&command, &demand, &position, TICK_S, &[], kind).unwrap();
+        let free = fit(None);
+        assert!((free.kp / 20.0 - 1.0).abs() < 0.02 && (free.ki / 15.0 - 1.0).abs() < 0.02, "{free:?}");
+        let proportional = fit(Some(ControllerKind::P));
+        assert!((proportional.ki, proportional.kd) == (0.0, 0.0), "{proportional:?}");
+        assert!(fit(Some(ControllerKind::Pi)).kd == 0.0);
+    }
 }

@@ -261,11 +261,11 @@ mod tests {
             let (command, demand) = (mean(Signal::Command), mean(Signal::Demand));
             let position = mean(Signal::Position);
             let open = found.open_ticks(TICK_S);
-            let gains = fit_gains(&command, &demand, &position, TICK_S, &open).unwrap();
+            let gains = fit_gains(&command, &demand, &position, TICK_S, &open, None).unwrap();
             let c = &truth.controller;
             assert!((gains.kp / c.kp - 1.0).abs() < 0.02 && gains.explained > 0.99, "{gains:?}");
             assert!((gains.ki / c.ki - 1.0).abs() < 0.1, "{gains:?}");
-            let blind = fit_gains(&command, &demand, &position, TICK_S, &[]);
+            let blind = fit_gains(&command, &demand, &position, TICK_S, &[], None);
             assert!(blind.is_none_or(|gains| gains.explained < 0.9), "{blind:?}");
 
             let adopted =

@@ -103,8 +103,8 @@ pub struct DescribedPlant {
     pub weight_n: f64,
     /// Whether the user gave the controller's gains.
     pub has_gains: bool,
-    /// Whether the controller integrates, where the user said so.
-    pub integrates: Option<bool>,
+    /// The controller's law, where the user said it.
+    pub controller: Option<ControllerKind>,
     /// What to know, one line each.
     pub remarks: Vec<String>,
 }
@@ -213,7 +213,7 @@ pub fn describe(data: &MachineData, logged: &LoggedSize) -> Result<DescribedPlan
         knows_curve: data.valve.curve.is_some(),
         weight_n,
         has_gains: c.kp_per_m.is_some(),
-        integrates: c.kind.map(|kind| kind != ControllerKind::P).or(c.ki_per_m_s.map(|ki| ki.value() > 0.0)),
+        controller: c.kind,
         remarks: describer.remarks,
     })
 }
