@@ -6,7 +6,7 @@ use seepd_gap::{Calibration, CalibrationSettings, Known, Log, Record, RecordErro
 use seepd_signals::Signal;
 use seepd_sim::cycle::LoadCorner;
 use seepd_sim::series::Direction;
-use seepd_sim::{DutyCycle, MachineSpec, SpecError};
+use seepd_sim::{Controller, DutyCycle, MachineSpec, SpecError};
 
 use crate::controller::{FittedGains, fit_gains};
 use crate::drive::{
@@ -14,7 +14,7 @@ use crate::drive::{
 };
 use crate::duty_cycle::FoundCycle;
 use crate::flow_curve;
-use crate::machine_data::MachineData;
+use crate::machine_data::{ControllerData, Datum, MachineData};
 use crate::open_loop::going_as_far;
 use crate::overlap;
 use crate::plant::{DataError, DescribedPlant, LoggedSize, Origin, PlantValue, describe};
@@ -28,6 +28,8 @@ const CALIBRATED_ON: usize = 24;
 const ITERATIONS: usize = 10;
 /// Share of the command's variance that a control law has to explain for its gains to be taken.
 const EXPLAINED: f64 = 0.9;
+/// A fitted proportional gain that is off the known one by less than this share is the same.
+const SAME_GAIN: f64 = 0.15;
 /// A parameter that keeps this share of its tolerance was not told by the log.
 const NOT_TOLD: f64 = 0.85;
 /// Least tolerance of a fitted parameter, share: the plant is not the machine.
@@ -44,6 +46,8 @@ const REMARKED_CHANGE: f64 = 0.1;
 const POOR: f64 = 0.03;
 /// A command that is off by less than this share of its range says nothing more of the valve.
 const LEAST_BENT: f64 = 0.0015;
+/// What a force that is read off before anything is fitted may leave at most of what one leaves that is read off after it.
+const NEARER: f64 = 0.85;
 /// What another kind of valve may leave at most of what the usual one does.
 const MUCH_NEARER: f64 = 0.7;
 /// A friction below this share of the largest force of the piston is left out.
@@ -148,8 +152,9 @@ pub enum AdoptionError {
 /// A command that differs by more than this share of its range is another machine's.
 const UNLIKE: f64 = 0.15;
 
-/// Least correlation of command and speed.
+/// Least correlation of command and speed, and the share of the highest speed from which a piston moves.
 const TOGETHER: f64 = 0.5;
+const MOVING: f64 = 0.1;
 
 /// Adopts a machine: describes it, gives it the log's duty cycle, and calibrates it where the log has its position.
 ///
@@ -194,17 +199,39 @@ impl AdoptionError {
     }
 }
 
-/// Checks that the piston moves as the valve is opened.
+/// Checks that the piston moves as the valve is opened. What the command is while the piston stands counts for nothing: over a dead band it
+/// stands on either side.
 fn together(command: &[f64], position: &[f64]) -> Result<(), AdoptionError> {
     let speed: Vec<f64> = (0..position.len()).map(|tick| slope(position, tick)).collect();
+    let moving = MOVING * quantile(speed.iter().map(|v| v.abs()), 0.99);
     let (mut uv, mut uu, mut vv) = (0.0, 0.0, 0.0);
-    for (u, v) in command.iter().zip(&speed) {
+    for (u, v) in command.iter().zip(&speed).filter(|(_, v)| v.abs() >= moving) {
         uv += u * v;
         uu += u * u;
         vv += v * v;
     }
     let correlation = uv / (uu * vv).sqrt().max(f64::MIN_POSITIVE);
     if correlation < TOGETHER { Err(AdoptionError::NotTogether { correlation }) } else { Ok(()) }
+}
+
+/// Gives a controller the gains of a fit that the user does not know. Beside a proportional gain that is known, the others are worth taking
+/// where the fit finds it as well; a jump over the dead band stands by itself.
+fn take_what_nobody_gave(controller: &mut Controller, fit: &FittedGains, given: &ControllerData) {
+    if given.kp_per_m.is_none_or(|kp| (fit.kp / kp.value() - 1.0).abs() < SAME_GAIN) {
+        let taken = |slot: &mut f64, given: Option<Datum>, fitted: f64| {
+            if given.is_none() {
+                *slot = fitted;
+            }
+        };
+        taken(&mut controller.kp, given.kp_per_m, fit.kp);
+        taken(&mut controller.ki, given.ki_per_m_s, fit.ki);
+        taken(&mut controller.kd, given.kd_s_per_m, fit.kd);
+        let feed_forward = &mut controller.velocity_feed_forward_s_per_m;
+        taken(feed_forward, given.velocity_feed_forward_s_per_m, fit.feed_forward);
+    }
+    if given.dead_band_compensation_percent.is_none() {
+        controller.dead_band_compensation = fit.compensation;
+    }
 }
 
 struct Adopter<'a> {
@@ -307,7 +334,8 @@ impl Adopter<'_> {
         let uncompensated: Vec<f64> = command.iter().map(|u| spec.controller.uncompensated(*u)).collect();
         let tick_s = spec.controller.period_s;
         let open = self.found.open_ticks(tick_s);
-        let fitted = fit_gains(&uncompensated, demand, position, tick_s, &open, self.described.controller);
+        let fitted =
+            fit_gains(&uncompensated, demand, position, tick_s, &open, self.described.controller.kind);
         let Some(gains) = fitted.filter(|gains| gains.explained > EXPLAINED) else {
             let share = 100.0 * fitted.map_or(0.0, |gains| gains.explained.max(0.0));
             self.remarks.push(format!(
@@ -316,14 +344,7 @@ impl Adopter<'_> {
             ));
             return None;
         };
-        if !self.described.has_gains {
-            let c = &mut spec.controller;
-            (c.kp, c.ki, c.kd) = (gains.kp, gains.ki, gains.kd);
-            c.velocity_feed_forward_s_per_m = gains.feed_forward;
-            if c.dead_band_compensation == 0.0 {
-                c.dead_band_compensation = gains.compensation.min(0.5);
-            }
-        }
+        take_what_nobody_gave(&mut spec.controller, &gains, &self.described.controller);
         Some(gains)
     }
 
@@ -392,6 +413,11 @@ impl Adopter<'_> {
     ) -> Result<Fitted, AdoptionError> {
         let mut best = self.with_unknown_force(self.fitted(spec, offset_m)?, offset_m, command)?;
         let mut spec = spec.clone();
+        if let Some(pressed) = self.pressed_before_it_is_fitted(&spec, offset_m, command)?
+            && command_gap(&pressed.calibration) < NEARER * command_gap(&best.calibration)
+        {
+            (spec.cycle.load, best) = (pressed.spec.cycle.load.clone(), pressed);
+        }
         if is_far(&best.calibration) {
             let (otherwise, words) = overlap::leaking_otherwise(&self.described.spec, &spec);
             let leaking = self.with_unknown_force(self.fitted(&otherwise, offset_m)?, offset_m, command)?;
@@ -429,19 +455,41 @@ impl Adopter<'_> {
         command: &[f64],
     ) -> Result<Fitted, AdoptionError> {
         let Some(found) = self.unknown_force(&fitted.spec, command) else { return Ok(fitted) };
-        let mut loaded = fitted.spec.clone();
-        loaded.cycle.load = found.load;
-        let mut again = self.fitted(&loaded, offset_m)?;
+        let mut again = self.fitted_under(&found, &fitted.spec, offset_m)?;
         if command_gap(&again.calibration) >= command_gap(&fitted.calibration) {
             return Ok(fitted);
         }
-        again.remarks = fitted.remarks;
-        again.remarks.push(format!(
-            "the log has no load; {:.0} % of what the strokes' command had left is explained by {}",
-            100.0 * (1.0 - found.left),
-            found.words
-        ));
+        again.remarks.splice(0..0, fitted.remarks);
         Ok(again)
+    }
+
+    /// The machine fitted under what its strokes work against as its data sheet has it: a fit without that force may have given its work to
+    /// another part, as to a pump that is too small for the strokes that press.
+    fn pressed_before_it_is_fitted(
+        &self,
+        spec: &MachineSpec,
+        offset_m: f64,
+        command: &[f64],
+    ) -> Result<Option<Fitted>, AdoptionError> {
+        let found = self.unknown_force(spec, command);
+        found.map(|found| self.fitted_under(&found, spec, offset_m)).transpose()
+    }
+
+    fn fitted_under(
+        &self,
+        force: &ProcessForce,
+        spec: &MachineSpec,
+        offset_m: f64,
+    ) -> Result<Fitted, AdoptionError> {
+        let mut loaded = spec.clone();
+        loaded.cycle.load.clone_from(&force.load);
+        let mut fitted = self.fitted(&loaded, offset_m)?;
+        fitted.remarks.push(format!(
+            "the log has no load; {:.0} % of what the strokes' command had left is explained by {}",
+            100.0 * (1.0 - force.left),
+            force.words
+        ));
+        Ok(fitted)
     }
 
     /// The machine with the flow curve that brings its command nearest to the log's, where a line stays further from it than its cycles from
@@ -704,6 +752,32 @@ impl Adoption {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_log_completes_what_the_user_knows_of_the_controller() {
+        let fit = FittedGains {
+            kp: 108.0,
+            ki: 40.0,
+            kd: 0.3,
+            feed_forward: 2.0,
+            compensation: 0.058,
+            explained: 0.99,
+        };
+        let taken = |text: &str| {
+            let data = MachineData::from_toml(&format!("[controller]\n{text}\n")).unwrap();
+            let c = &mut Controller::default();
+            (c.kp, c.ki, c.dead_band_compensation) = (110.0, 137.5, 0.0);
+            take_what_nobody_gave(c, &fit, &data.controller);
+            [c.kp, c.ki, c.kd, c.velocity_feed_forward_s_per_m, c.dead_band_compensation]
+        };
+        assert_eq!(taken(""), [108.0, 40.0, 0.3, 2.0, 0.058]);
+        let kd = Controller::default().kd;
+        assert_eq!(taken("kp_per_m = 110\nki_per_m_s = 30"), [110.0, 137.5, 0.3, 2.0, 0.058]);
+        // Another gain than the user's: the log does not tell this law well.
+        let nothing = taken("kp_per_m = 160\ndead_band_compensation_percent = 4");
+        assert_eq!(nothing[..3], [110.0, 137.5, kd]);
+        assert!(nothing[4] == 0.0, "{nothing:?}");
+    }
 
     #[test]
     fn a_valve_that_nobody_tells_is_asked_for() {

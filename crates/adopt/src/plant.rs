@@ -7,7 +7,7 @@ use seepd_sim::oil;
 use serde::Serialize;
 
 use crate::flow_curve;
-use crate::machine_data::{ControllerKind, Datum, MachineData, Orientation, RatedOver};
+use crate::machine_data::{ControllerData, ControllerKind, Datum, MachineData, Orientation, RatedOver};
 use crate::overlap;
 
 /// Pascals in a bar.
@@ -101,10 +101,8 @@ pub struct DescribedPlant {
     pub knows_curve: bool,
     /// Weight of the moved mass, N, positive in the extending direction.
     pub weight_n: f64,
-    /// Whether the user gave the controller's gains.
-    pub has_gains: bool,
-    /// The controller's law, where the user said it.
-    pub controller: Option<ControllerKind>,
+    /// What the user knows of the controller.
+    pub controller: ControllerData,
     /// What to know, one line each.
     pub remarks: Vec<String>,
 }
@@ -205,15 +203,13 @@ pub fn describe(data: &MachineData, logged: &LoggedSize) -> Result<DescribedPlan
         Orientation::RodDown => 1.0,
     };
     let weight_n = sign * GRAVITY_M_PER_S2 * describer.spec.plant.mass_kg;
-    let c = &data.controller;
     Ok(DescribedPlant {
         spec: describer.spec,
         values: describer.values,
         knows_overlap: data.valve.overlap_percent.is_some(),
         knows_curve: data.valve.curve.is_some(),
         weight_n,
-        has_gains: c.kp_per_m.is_some(),
-        controller: c.kind,
+        controller: data.controller.clone(),
         remarks: describer.remarks,
     })
 }
