@@ -30,6 +30,7 @@ fn file() -> CausesFile {
         ordinary: vec![0.0; NUMBERS],
         known_limit: 4.0,
         alike_from: 0.95,
+        sizes_leaks: false,
         cells: vec![
             cell(Cause::PistonSeal, SizeUnit::Area, 2e-7, [-0.004, 0.004, 0.0, 0.0]),
             cell(Cause::ValveNull, SizeUnit::Share, 0.01, null),

@@ -115,6 +115,7 @@ mod tests {
             ordinary: vec![1e-8; numbers],
             known_limit: 4.0,
             alike_from: 0.95,
+            sizes_leaks: false,
             cells: cells(Cause::PistonSeal, SizeUnit::Area, 0.2, leak)
                 .chain(cells(Cause::ValveNull, SizeUnit::Share, 0.01, [1.0, 1.0, 0.0, 0.0]))
                 .chain(cells(Cause::Friction, SizeUnit::Force, 0.2, [1.0, -1.0, 0.0, 0.0]))

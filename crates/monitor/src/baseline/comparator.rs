@@ -3,7 +3,7 @@
 use seepd_features::ValidCycle;
 use seepd_features::segment::MAX_PHASES;
 use seepd_model::causes::{Cause, ChangeVerdict};
-use seepd_model::{Comparison, Estimate, Model, Relative, RelativeEstimate};
+use seepd_model::{Causes, Comparison, Estimate, Model, Relative, RelativeEstimate};
 use serde::Serialize;
 
 use super::Baseline;
@@ -154,7 +154,7 @@ impl BaselineComparator {
     /// estimate stands.
     fn beside(
         &self,
-        relative: &Relative,
+        (relative, causes): (&Relative, Option<&Causes>),
         cycle: &ValidCycle<'_>,
         explained: &Explained,
         (plain, load_change): (&RelativeEstimate, Option<f64>),
@@ -181,8 +181,12 @@ impl BaselineComparator {
         for (slot, (before, change)) in of_mean.iter_mut().zip(changes) {
             *slot = before + change;
         }
+        let leak =
+            cause::named_leak(explained).filter(|_| causes.is_some_and(|causes| causes.file().sizes_leaks));
+        let by_explanation = |sized| leak.map_or(sized, |leak| cause::sized_by_its_explanation(leak, sized));
         if explanation.verdict == ChangeVerdict::Named(Cause::PistonSeal, None) {
-            return Some(cause::under_any_law(&explanation.leak_of_other_law, *plain, &given(&of_mean)?));
+            let sized = cause::under_any_law(&explanation.leak_of_other_law, *plain, &given(&of_mean)?);
+            return Some(by_explanation(sized));
         }
         // Beside a leak the other cause must be certain: it would carry the baseline over what nobody knows.
         let (kind, has_leak) = explanation.other.filter(|_| explanation.verdict != ChangeVerdict::Unknown)?;
@@ -200,7 +204,7 @@ impl BaselineComparator {
         let given = cause::under_any_law(law, given(&present)?, &given(&of_mean)?);
         let healthy_limit_m2 =
             relative.kind(load_change.is_some(), &self.baseline.mean).calibration.healthy_limit;
-        Some(cause::beside(explanation, has_leak, given, healthy_limit_m2))
+        Some(by_explanation(cause::beside(explanation, has_leak, given, healthy_limit_m2)))
     }
 
     /// Compares a cycle that ends at a time, s. One unlike everything that training has seen leaves sums and trend alone.
@@ -208,9 +212,9 @@ impl BaselineComparator {
         let (plain, load, load_change) = self.compare(model, cycle)?;
         let relative = model.relative()?;
         let explained = self.explain(model, cycle);
-        let beside = explained
-            .as_ref()
-            .and_then(|explained| self.beside(relative, cycle, explained, (&plain, load_change)));
+        let beside = explained.as_ref().and_then(|explained| {
+            self.beside((relative, model.causes()), cycle, explained, (&plain, load_change))
+        });
         let is_beyond_training = plain.out_of_distribution.score > 1.0;
         let is_unlike = beside.is_none() && is_beyond_training;
         let estimate = beside.unwrap_or(plain);

@@ -7,7 +7,7 @@ pub mod condition;
 pub mod course;
 mod tracker;
 
-use seepd_model::causes::{Cause, ChangeVerdict, Explanation, Kind, OtherLaw, SizeUnit};
+use seepd_model::causes::{Candidate, Cause, ChangeVerdict, Explanation, Kind, OtherLaw, SizeUnit};
 use seepd_model::{Estimate, RelativeEstimate};
 
 pub use tracker::{Explained, Tracker};
@@ -47,14 +47,17 @@ fn against(seal: f64, others: f64) -> f64 {
     (seal / others.max(f64::MIN_POSITIVE)).min(1.0)
 }
 
-/// Whether the seal leaks and nothing that load, oil and supply do explains it: named for some cycles, with an interval that begins above 0.
-pub(crate) fn is_surely_a_leak(explained: &Explained) -> bool {
+/// The leak that is named for some cycles, alone or beside another cause, with an interval that begins above 0.
+pub(crate) fn named_leak(explained: &Explained) -> Option<&Candidate> {
     let explanation = &explained.explanation;
     let names_the_seal = matches!(explanation.verdict, ChangeVerdict::Named(Cause::PistonSeal, _));
-    let seal = explanation.candidate(Cause::PistonSeal);
-    names_the_seal
-        && explained.agreeing >= TOLD_AFTER
-        && seal.is_some_and(|seal| seal.probability >= CERTAIN && seal.interval90[0] > 0.0)
+    let seal = explanation.candidate(Cause::PistonSeal).filter(|seal| seal.interval90[0] > 0.0);
+    seal.filter(|_| names_the_seal && explained.agreeing >= TOLD_AFTER)
+}
+
+/// Whether the seal leaks and nothing that load, oil and supply do explains it.
+pub(crate) fn is_surely_a_leak(explained: &Explained) -> bool {
+    named_leak(explained).is_some_and(|seal| seal.probability >= CERTAIN)
 }
 
 /// Whether a cause's response is taken off the phases' means before the leak is sized. The comparison knows load, oil and supply as
@@ -76,6 +79,19 @@ pub(crate) fn leak_beyond_training(
     let interval = seal.interval90.map(|end| end.max(0.0));
     let estimate = Estimate { value: seal.size, interval, ..plain.estimate };
     Some(RelativeEstimate { estimate, leak_residual_m2: seal.size, ..plain })
+}
+
+/// A leak that is named, sized by its explanation; the interval has what the regression says as well. Whether it is one the regression's
+/// residual goes on to say, until it is certain.
+pub(crate) fn sized_by_its_explanation(seal: &Candidate, given: RelativeEstimate) -> RelativeEstimate {
+    let ([low, high], [own_low, own_high]) = (seal.interval90, given.estimate.interval);
+    let interval = [low.min(own_low).max(0.0), high.max(own_high)];
+    let estimate = Estimate { value: seal.size, interval, ..given.estimate };
+    let sure_m2 = if seal.probability >= CERTAIN { seal.size } else { 0.0 };
+    let leak_residual_m2 = given.leak_residual_m2.max(sure_m2);
+    let ratio = leak_residual_m2 / given.leak_residual_m2;
+    let contributions_m2 = given.contributions_m2.map(|part| if ratio > 0.0 { ratio * part } else { part });
+    RelativeEstimate { estimate, leak_residual_m2, contributions_m2, ..given }
 }
 
 /// A leak whose law may be another than the estimate has learned. `of_mean` is the estimate of the mean of cycles that has been explained:
@@ -166,6 +182,19 @@ mod tests {
             );
             assert!((given.leak_residual_m2 / (2e-6 * size) - 1.0).abs() < 1e-9);
         }
+    }
+
+    /// The regression says 1 mm² ± 0.2 of a leak that is explained by 1.5 ± 0.4.
+    #[test]
+    fn a_leak_sized_by_its_explanation_keeps_what_the_regression_leaves_open() {
+        let kind = Kind { cause: Cause::PistonSeal, side: None, unit: SizeUnit::Area };
+        let seal = Candidate { kind, probability: 0.99, size: 1.5e-6, interval90: [1.1e-6, 1.9e-6] };
+        let mut given = estimate(1e-6, [0.8e-6, 1.2e-6]);
+        given.contributions_m2[0] = 1e-6;
+        let sized = sized_by_its_explanation(&seal, given);
+        assert_eq!((sized.estimate.value, sized.estimate.interval), (1.5e-6, [0.8e-6, 1.9e-6]));
+        // What each phase contributes still adds up to the residual.
+        assert_eq!((sized.leak_residual_m2, sized.contributions_m2[0]), (1.5e-6, 1.5e-6));
     }
 
     #[test]

@@ -232,6 +232,7 @@ fn learn_from(
         ordinary: basis.ordinary.clone(),
         known_limit: 1.0,
         alike_from: simulator.settings.alike_from,
+        sizes_leaks: simulator.settings.conditions.response_error > 0.0,
         cells,
         golden: Vec::new(),
     };
