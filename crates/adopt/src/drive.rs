@@ -18,6 +18,9 @@ use crate::strokes::{mean, range, slope};
 const COURSE_POINTS: usize = 100;
 /// The command is near its hold again where it is this share of the stroke's largest from it.
 const NEAR: f64 = 0.02;
+/// Share of half a hold, from its middle on, that tells its rest: one over this; and the standard deviations that noise does not leave.
+const REST: usize = 3;
+const AT_REST: f64 = 4.0;
 /// Corners of the load at most, and the share of its range that they may be off.
 const LOAD_CORNERS: usize = 12;
 const LOAD_TOLERANCE: f64 = 0.04;
@@ -231,8 +234,12 @@ pub fn planned(
         let (from, to) = edges[index];
         let peak = command[from..=to].iter().map(|u| u.abs()).fold(0.0, f64::max);
         let (hold_before, hold_after) = (middles[index], middles[index + 1]);
-        let rest_before = mean(&command[hold_before..from.max(hold_before + 1)]);
-        let rest_after = mean(&command[to.min(hold_after.saturating_sub(1))..hold_after.max(1)]);
+        // What is nearest to the middle of a hold: a stroke's slow beginning and its settling are none of its rest.
+        let (half_before, half_after) = (from.saturating_sub(hold_before), hold_after.saturating_sub(to));
+        let before =
+            Rest::of(&command[hold_before..(hold_before + half_before / REST).max(hold_before + 1)], peak);
+        let settled = hold_after.saturating_sub((half_after / REST).max(1));
+        let after = Rest::of(&command[settled..hold_after.max(settled + 1)], peak);
         let (earliest, latest) = match has_open_loop {
             true => (from.saturating_sub((to - from) / 20), to + (to - from) / 20),
             false => (0, ticks),
@@ -241,12 +248,12 @@ pub fn planned(
         // other. The stroke's own edges are taken then.
         let (first, last) = (hold_before.max(earliest), middle_of_hold(&edges, index, ticks).min(latest));
         let leaves = (first..from)
-            .find(|tick| (command[*tick] - rest_before).abs() > NEAR * peak)
+            .find(|tick| before.is_left_by(command[*tick]))
             .filter(|tick| *tick > first || has_open_loop)
             .unwrap_or(from);
         let returns = (to..last)
             .rev()
-            .find(|tick| (command[*tick] - rest_after).abs() > NEAR * peak)
+            .find(|tick| after.is_left_by(command[*tick]))
             .filter(|tick| tick + 1 < last || has_open_loop)
             .map_or(to, |tick| tick + 1);
         moves.push((stroke.name.clone(), leaves, returns.max(leaves + 2)));
@@ -272,6 +279,26 @@ pub fn planned(
         }
     });
     DutyCycle { period_s: ticks as f64 * tick_s, moves: strokes.collect(), load }
+}
+
+/// The command of a hold.
+struct Rest {
+    level: f64,
+    /// Less than this from its level it is at rest.
+    room: f64,
+}
+
+impl Rest {
+    /// Of the part of a hold, beside a stroke whose command goes up to that.
+    fn of(hold: &[f64], peak: f64) -> Self {
+        let level = mean(hold);
+        let variance = hold.iter().map(|u| (u - level).powi(2)).sum::<f64>() / hold.len().max(1) as f64;
+        Rest { level, room: (NEAR * peak).max(AT_REST * variance.sqrt()) }
+    }
+
+    fn is_left_by(&self, command: f64) -> bool {
+        (command - self.level).abs() > self.room
+    }
 }
 
 /// Middle of the hold after a stroke; the cycle's end ends the last one.

@@ -47,17 +47,17 @@ fn against(seal: f64, others: f64) -> f64 {
     (seal / others.max(f64::MIN_POSITIVE)).min(1.0)
 }
 
-/// The leak that is named for some cycles, alone or beside another cause, with an interval that begins above 0.
+/// The leak that is named for some cycles, alone or beside another cause.
 pub(crate) fn named_leak(explained: &Explained) -> Option<&Candidate> {
     let explanation = &explained.explanation;
     let names_the_seal = matches!(explanation.verdict, ChangeVerdict::Named(Cause::PistonSeal, _));
-    let seal = explanation.candidate(Cause::PistonSeal).filter(|seal| seal.interval90[0] > 0.0);
+    let seal = explanation.candidate(Cause::PistonSeal).filter(|seal| seal.size > 0.0);
     seal.filter(|_| names_the_seal && explained.agreeing >= TOLD_AFTER)
 }
 
-/// Whether the seal leaks and nothing that load, oil and supply do explains it.
+/// Whether the seal leaks and nothing that load, oil and supply do explains it: with an interval that begins above 0.
 pub(crate) fn is_surely_a_leak(explained: &Explained) -> bool {
-    named_leak(explained).is_some_and(|seal| seal.probability >= CERTAIN)
+    named_leak(explained).is_some_and(|seal| seal.probability >= CERTAIN && seal.interval90[0] > 0.0)
 }
 
 /// Whether a cause's response is taken off the phases' means before the leak is sized. The comparison knows load, oil and supply as
