@@ -469,6 +469,7 @@ fn swapped_chambers(spec: &MachineSpec, signals: &[Signal], cycle: &RecordedCycl
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fit::MODEL_ERROR;
     use crate::record::binned;
 
     /// RMS over range of what `run` shows beside the machine in its own steps, by signal.
@@ -543,6 +544,17 @@ mod tests {
                 machine.set_effect(effect).unwrap();
             }
             assert_alike(&machine, effect);
+        }
+        // A piston that sticks: which chamber holds it turns on little, which neither command nor position feels.
+        let mut machine = MachineSpec::default();
+        for set in
+            ["static_force_n=3000", "force_n=2000", "stribeck_speed_m_per_s=0.03", "creep_speed_m_per_s=1e-4"]
+        {
+            machine.set_effect(&format!("stribeck_friction.{set}")).unwrap();
+        }
+        for (signal, difference) in differences(&machine.with_stable_steps()) {
+            let most = if matches!(signal, Signal::Command | Signal::Position) { 1e-4 } else { MODEL_ERROR };
+            assert!(difference < most, "sticking friction, {signal:?}: {difference:.1e}");
         }
         // A pump too small for the strokes: the supply's volume gives its oil.
         let mut machine = MachineSpec::default();
