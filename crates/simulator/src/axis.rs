@@ -194,6 +194,9 @@ impl SimulatedAxis for SimulatorAxis {
 
     /// A factor on a gain of 0 is none.
     fn acts(&self, effect: &EffectInfo, parameter: &Parameter) -> bool {
+        if self.spec.inside.get(effect.key).is_some_and(|variables| !variables.contains_key(parameter.name)) {
+            return false;
+        }
         let is_braking = effect.key == "controller_gains" && parameter.name == "kd";
         !(is_braking && self.spec.controller.as_ref().is_some_and(|controller| controller.kd == 0.0))
     }

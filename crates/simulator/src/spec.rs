@@ -418,7 +418,8 @@ impl SimulatorSpec {
         Ok(())
     }
 
-    /// Effects inside are the catalogue's, with all of their parameters.
+    /// Effects inside are the catalogue's, with all of their parameters but those that have a usual value: what a simulator lacks of these
+    /// stays at it.
     fn check_inside(&self) -> Result<(), SimulatorError> {
         for (name, variables) in &self.inside {
             let Some(effect) = effects::find(name) else {
@@ -430,7 +431,8 @@ impl SimulatorSpec {
             };
             let known: Vec<&str> = effect.parameters().iter().map(|parameter| parameter.name).collect();
             known_names(&format!("inside.{name}"), variables.keys(), &known)?;
-            if let Some(missing) = known.iter().find(|parameter| !variables.contains_key(**parameter)) {
+            let needed = effect.parameters().iter().filter(|parameter| parameter.neutral == 0.0);
+            if let Some(missing) = needed.map(|of| of.name).find(|name| !variables.contains_key(*name)) {
                 return Err(SimulatorError::Missing { table: format!("inside.{name}"), key: missing });
             }
             if let Some(twice) = variables.values().find(|variable| self.parameters.contains_key(*variable)) {

@@ -158,6 +158,7 @@ impl BaselineComparator {
         cycle: &ValidCycle<'_>,
         explained: &Explained,
         (plain, load_change): (&RelativeEstimate, Option<f64>),
+        absolute_m2: Option<f64>,
     ) -> Option<RelativeEstimate> {
         let explanation = &explained.explanation;
         let is_beyond_training = plain.out_of_distribution.score > 1.0;
@@ -183,7 +184,11 @@ impl BaselineComparator {
         }
         let leak =
             cause::named_leak(explained).filter(|_| causes.is_some_and(|causes| causes.file().sizes_leaks));
-        let by_explanation = |sized| leak.map_or(sized, |leak| cause::sized_by_its_explanation(leak, sized));
+        let by_explanation = |sized| {
+            leak.map_or(sized, |leak| {
+                cause::sized_by_its_explanation(leak, &explanation.leak_of_other_law, absolute_m2, sized)
+            })
+        };
         if explanation.verdict == ChangeVerdict::Named(Cause::PistonSeal, None) {
             let sized = cause::under_any_law(&explanation.leak_of_other_law, *plain, &given(&of_mean)?);
             return Some(by_explanation(sized));
@@ -207,13 +212,20 @@ impl BaselineComparator {
         Some(by_explanation(cause::beside(explanation, has_leak, given, healthy_limit_m2)))
     }
 
-    /// Compares a cycle that ends at a time, s. One unlike everything that training has seen leaves sums and trend alone.
-    pub fn take(&mut self, model: &Model, cycle: &ValidCycle<'_>, end_s: f64) -> Option<ComparedCycle> {
+    /// Compares a cycle that ends at a time, s. One unlike everything that training has seen leaves sums and trend alone. `absolute_m2` is
+    /// the leak that the model sees without the baseline, where the cycle is like those that it was trained with.
+    pub fn take(
+        &mut self,
+        model: &Model,
+        cycle: &ValidCycle<'_>,
+        end_s: f64,
+        absolute_m2: Option<f64>,
+    ) -> Option<ComparedCycle> {
         let (plain, load, load_change) = self.compare(model, cycle)?;
         let relative = model.relative()?;
         let explained = self.explain(model, cycle);
         let beside = explained.as_ref().and_then(|explained| {
-            self.beside((relative, model.causes()), cycle, explained, (&plain, load_change))
+            self.beside((relative, model.causes()), cycle, explained, (&plain, load_change), absolute_m2)
         });
         let is_beyond_training = plain.out_of_distribution.score > 1.0;
         let is_unlike = beside.is_none() && is_beyond_training;

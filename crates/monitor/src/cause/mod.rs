@@ -81,17 +81,39 @@ pub(crate) fn leak_beyond_training(
     Some(RelativeEstimate { estimate, leak_residual_m2: seal.size, ..plain })
 }
 
-/// A leak that is named, sized by its explanation; the interval has what the regression says as well. Whether it is one the regression's
-/// residual goes on to say, until it is certain.
-pub(crate) fn sized_by_its_explanation(seal: &Candidate, given: RelativeEstimate) -> RelativeEstimate {
+/// A leak that is named, sized by its explanation, or by the middle one of it, the regression and the estimate without a baseline; the interval has what the regression says as well. Whether it is one the regression's
+/// residual goes on to say, until it is certain. As beside it, another law than the one that was learned counts once it is certain.
+pub(crate) fn sized_by_its_explanation(
+    seal: &Candidate,
+    law: &OtherLaw,
+    absolute_m2: Option<f64>,
+    given: RelativeEstimate,
+) -> RelativeEstimate {
+    let explained = size_by_law(seal, law);
+    // Three estimates that err for reasons of their own: the middle one, where the third is of a cycle like those of training.
+    let regressed = given.estimate.value;
+    let middle = |absolute: f64| explained.min(regressed).max(explained.max(regressed).min(absolute));
+    let size = absolute_m2.map_or(explained, middle);
     let ([low, high], [own_low, own_high]) = (seal.interval90, given.estimate.interval);
     let interval = [low.min(own_low).max(0.0), high.max(own_high)];
-    let estimate = Estimate { value: seal.size, interval, ..given.estimate };
-    let sure_m2 = if seal.probability >= CERTAIN { seal.size } else { 0.0 };
+    let estimate = Estimate { value: size, interval, ..given.estimate };
+    let sure_m2 = if seal.probability >= CERTAIN { size } else { 0.0 };
     let leak_residual_m2 = given.leak_residual_m2.max(sure_m2);
     let ratio = leak_residual_m2 / given.leak_residual_m2;
     let contributions_m2 = given.contributions_m2.map(|part| if ratio > 0.0 { ratio * part } else { part });
     RelativeEstimate { estimate, leak_residual_m2, contributions_m2, ..given }
+}
+
+/// The size of an explained leak under the law that was learned, or under another one that is certain. The explanation's own size is the
+/// mean of both, by their probabilities.
+fn size_by_law(seal: &Candidate, law: &OtherLaw) -> f64 {
+    let size = if law.probability >= CERTAIN {
+        law.size
+    } else {
+        (seal.size - law.probability * law.size) / (1.0 - law.probability)
+    };
+    let [low, high] = seal.interval90;
+    size.clamp(low.max(0.0).min(seal.size), high.max(seal.size))
 }
 
 /// A leak whose law may be another than the estimate has learned. `of_mean` is the estimate of the mean of cycles that has been explained:
@@ -191,10 +213,20 @@ mod tests {
         let seal = Candidate { kind, probability: 0.99, size: 1.5e-6, interval90: [1.1e-6, 1.9e-6] };
         let mut given = estimate(1e-6, [0.8e-6, 1.2e-6]);
         given.contributions_m2[0] = 1e-6;
-        let sized = sized_by_its_explanation(&seal, given);
+        let sized = sized_by_its_explanation(&seal, &OtherLaw::default(), None, given);
         assert_eq!((sized.estimate.value, sized.estimate.interval), (1.5e-6, [0.8e-6, 1.9e-6]));
         // What each phase contributes still adds up to the residual.
         assert_eq!((sized.leak_residual_m2, sized.contributions_m2[0]), (1.5e-6, 1.5e-6));
+        // An orifice's 1.2 or a gap's 1.8, with even odds: an orifice's until the other is certain.
+        let of_law = |probability| {
+            let law = OtherLaw { probability, size: 1.8e-6, deviation: 0.1e-6 };
+            sized_by_its_explanation(&seal, &law, None, given).estimate.value
+        };
+        for (absolute, middle) in [(0.2e-6, 1e-6), (1.3e-6, 1.3e-6), (4e-6, 1.5e-6)] {
+            let sized = sized_by_its_explanation(&seal, &OtherLaw::default(), Some(absolute), given);
+            assert_eq!(sized.estimate.value, middle);
+        }
+        assert!((of_law(0.5) / 1.2e-6 - 1.0).abs() < 1e-9 && of_law(0.97) == 1.8e-6);
     }
 
     #[test]

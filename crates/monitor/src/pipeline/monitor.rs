@@ -308,10 +308,15 @@ impl CycleEstimator {
             .map_or_else(|| self.estimate(valid).1.score, |(estimate, ..)| estimate.out_of_distribution.score)
     }
 
-    /// Compares a cycle that ends at a time, s, with the baseline, where there is one.
-    pub(super) fn compare_cycle(&mut self, valid: &ValidCycle<'_>, end_s: f64) -> Option<ComparedCycle> {
+    /// Compares a cycle that ends at a time, s, with the baseline, where there is one. `absolute_m2` is what the model says without it.
+    pub(super) fn compare_cycle(
+        &mut self,
+        valid: &ValidCycle<'_>,
+        end_s: f64,
+        absolute_m2: Option<f64>,
+    ) -> Option<ComparedCycle> {
         let compared = match &mut self.commissioning {
-            Commissioning::Comparing(comparator) => comparator.take(&self.model, valid, end_s),
+            Commissioning::Comparing(comparator) => comparator.take(&self.model, valid, end_s, absolute_m2),
             _ => None,
         };
         self.explained =

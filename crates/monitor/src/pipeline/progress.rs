@@ -164,7 +164,9 @@ impl Progress {
         sink: &mut impl FnMut(&Event<'_>),
     ) -> Option<Change> {
         let absolute = estimator.absolute(valid);
-        let compared = estimator.compare_cycle(valid, self.seconds(valid.end_ns));
+        let is_like_training = absolute.out_of_distribution.score <= 1.0;
+        let absolute_m2 = is_like_training.then_some(absolute.estimate.value);
+        let compared = estimator.compare_cycle(valid, self.seconds(valid.end_ns), absolute_m2);
         let out_of_distribution =
             compared.map_or(absolute.out_of_distribution, |compared| compared.estimate.out_of_distribution);
         let reason = match &compared {
