@@ -136,8 +136,12 @@ impl Free {
         match &self.target {
             Target::Plant(parameter) => spec.set_parameter(&parameter.key, value),
             Target::Effect(effect, index) => {
-                let name = effect.parameters[*index].name;
-                spec.effects_mut().entry(effect.key.into()).or_default().insert(name.into(), value);
+                let parameter = &effect.parameters[*index];
+                // A bound's logarithm and back is not always the bound, beyond which a plant file would be refused.
+                let (low, high) = spec.range(effect, parameter);
+                let within = value.max(low).min(high);
+                let effects = spec.effects_mut().entry(effect.key.into()).or_default();
+                effects.insert(parameter.name.into(), within);
             }
         }
     }
