@@ -293,7 +293,12 @@ impl Rest {
     fn of(hold: &[f64], peak: f64) -> Self {
         let level = mean(hold);
         let variance = hold.iter().map(|u| (u - level).powi(2)).sum::<f64>() / hold.len().max(1) as f64;
-        Rest { level, room: (NEAR * peak).max(AT_REST * variance.sqrt()) }
+        let (early, late) = hold.split_at(hold.len() / 2);
+        // Over a dead band the command drifts through the whole hold, as fast as here: it never comes to rest, nor leaves it.
+        let drift = 2.0 * REST as f64 * (mean(early) - mean(late)).abs();
+        let drifts = hold.len() > 1 && drift > NEAR * peak;
+        let room = if drifts { f64::INFINITY } else { (NEAR * peak).max(AT_REST * variance.sqrt()) };
+        Rest { level, room }
     }
 
     fn is_left_by(&self, command: f64) -> bool {
