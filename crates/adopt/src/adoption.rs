@@ -414,7 +414,7 @@ impl Adopter<'_> {
         let mut best = self.with_unknown_force(self.fitted(spec, offset_m)?, offset_m, command)?;
         let mut spec = spec.clone();
         if let Some(pressed) = self.pressed_before_it_is_fitted(&spec, offset_m, command)?
-            && command_gap(&pressed.calibration) < NEARER * command_gap(&best.calibration)
+            && pressed.leaves_less_than(NEARER, &best)
         {
             (spec.cycle.load, best) = (pressed.spec.cycle.load.clone(), pressed);
         }
@@ -475,6 +475,7 @@ impl Adopter<'_> {
         found.map(|found| self.fitted_under(&found, spec, offset_m)).transpose()
     }
 
+    /// The machine fitted under a force that was read off its strokes.
     fn fitted_under(
         &self,
         force: &ProcessForce,
@@ -674,7 +675,12 @@ struct Fitted {
 impl Fitted {
     /// Whether another kind of valve explains the log much better.
     fn is_much_nearer_than(&self, usual: &Fitted) -> bool {
-        command_gap(&self.calibration) < MUCH_NEARER * command_gap(&usual.calibration)
+        self.leaves_less_than(MUCH_NEARER, usual)
+    }
+
+    /// Whether its command is off by less than that share of the other's.
+    fn leaves_less_than(&self, share: f64, other: &Fitted) -> bool {
+        command_gap(&self.calibration) < share * command_gap(&other.calibration)
     }
 }
 

@@ -33,7 +33,9 @@ const DONE: f64 = 1e-6;
 
 /// Terms of a control law, in the order of how usual they are.
 const TERMS: usize = 5;
+const ERROR: usize = 0;
 const INTEGRAL: usize = 1;
+const FEED_FORWARD: usize = 2;
 const BRAKING: usize = 3;
 const JUMP: usize = 4;
 /// Outputs of the control law over which controllers let their jump grow, shares of full command: none lets it flip with the last bit.
@@ -84,7 +86,8 @@ pub fn fit_gains(
         integrals,
         (0..ticks).map(|tick| speed(demand, tick)).collect(),
         (0..ticks).map(|tick| -speed(position, tick)).collect(),
-        jumps(&command[..ticks], JUMP_GROWS_OVER[0]),
+        // The jump: found with its size, law by law.
+        Vec::new(),
     ];
     let beside = |tick: usize| {
         open.iter().any(|part| (part.start.saturating_sub(BESIDE)..part.end + BESIDE).contains(&tick))
@@ -101,29 +104,27 @@ pub fn fit_gains(
         .min_by(|(a, fit_a), (b, fit_b)| {
             worth_of(fit_a.left, a.len()).total_cmp(&worth_of(fit_b.left, b.len()))
         })?;
-    let gain = |term: usize| chosen.iter().position(|of| *of == term).map_or(0.0, |index| fit.gains[index]);
-    (gain(0) > 0.0).then(|| FittedGains {
-        kp: gain(0),
-        ki: gain(1),
-        feed_forward: gain(2),
-        kd: gain(3),
-        compensation: gain(4),
+    let gain = |term| chosen.iter().position(|of| *of == term).map_or(0.0, |index| fit.gains[index]);
+    (gain(ERROR) > 0.0).then(|| FittedGains {
+        kp: gain(ERROR),
+        ki: gain(INTEGRAL),
+        feed_forward: gain(FEED_FORWARD),
+        kd: gain(BRAKING),
+        compensation: gain(JUMP),
         explained: 1.0 - fit.left,
     })
 }
 
-/// Every set of terms with the error that a controller of that kind may have, those of fewer and more usual terms first.
+/// Every set of terms with the error that a controller of that kind may have, each in the terms' order.
 fn laws(kind: Option<ControllerKind>) -> impl Iterator<Item = Vec<usize>> {
     let is_allowed = move |law: &Vec<usize>| match kind {
         Some(ControllerKind::P) => !law.contains(&INTEGRAL) && !law.contains(&BRAKING),
         Some(ControllerKind::Pi) => !law.contains(&BRAKING),
         Some(ControllerKind::Pid) | None => true,
     };
-    let beside = 1..1_usize << (TERMS - 1);
-    let law = |beside: usize| -> Vec<usize> {
-        std::iter::once(0).chain((1..TERMS).filter(|term| beside & (1 << (term - 1)) != 0)).collect()
-    };
-    std::iter::once(0).chain(beside).map(law).filter(is_allowed)
+    let sets = 0..1_usize << TERMS;
+    let law = |set: usize| -> Vec<usize> { (0..TERMS).filter(|term| set & (1 << term) != 0).collect() };
+    sets.map(law).filter(|law| law.contains(&ERROR)).filter(is_allowed)
 }
 
 /// Where in its jump over the dead band a controller is, −1 … 1, tick by tick: the jump is done where the command exceeds it and the output

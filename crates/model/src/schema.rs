@@ -349,8 +349,8 @@ pub struct CausesFile {
     /// Cosine of a cause's response and a leak's, both in units of noise and ordinary variation, from which on the two are one class.
     #[serde(default = "alike_from", skip_serializing_if = "is_usual_alike_from")]
     pub alike_from: f64,
-    /// Whether a leak that is surely one has the size that its explanation gives: responses have room there for a plant that is not quite
-    /// the machine, which the regression of the leak residual has not.
+    /// Whether a leak that is named has the middle size of its explanation's, the regression's and that without a baseline: the explanation's
+    /// responses have room for a plant that is not quite the machine, which the regression of the leak residual has not.
     #[serde(default, skip_serializing_if = "core::ops::Not::not")]
     pub sizes_leaks: bool,
     /// Causes at ranges of sizes.

@@ -3,7 +3,7 @@
 use seepd_features::ValidCycle;
 use seepd_features::segment::MAX_PHASES;
 use seepd_model::causes::{Cause, ChangeVerdict};
-use seepd_model::{Causes, Comparison, Estimate, Model, Relative, RelativeEstimate};
+use seepd_model::{Comparison, Estimate, Model, Relative, RelativeEstimate};
 use serde::Serialize;
 
 use super::Baseline;
@@ -154,12 +154,13 @@ impl BaselineComparator {
     /// estimate stands.
     fn beside(
         &self,
-        (relative, causes): (&Relative, Option<&Causes>),
+        model: &Model,
         cycle: &ValidCycle<'_>,
         explained: &Explained,
         (plain, load_change): (&RelativeEstimate, Option<f64>),
         absolute_m2: Option<f64>,
     ) -> Option<RelativeEstimate> {
+        let relative = model.relative()?;
         let explanation = &explained.explanation;
         let is_beyond_training = plain.out_of_distribution.score > 1.0;
         if is_beyond_training && explanation.verdict == ChangeVerdict::Named(Cause::PistonSeal, None) {
@@ -183,15 +184,15 @@ impl BaselineComparator {
             *slot = before + change;
         }
         let leak =
-            cause::named_leak(explained).filter(|_| causes.is_some_and(|causes| causes.file().sizes_leaks));
-        let by_explanation = |sized| {
-            leak.map_or(sized, |leak| {
-                cause::sized_by_its_explanation(leak, &explanation.leak_of_other_law, absolute_m2, sized)
+            cause::named_leak(explained).filter(|_| model.causes().is_some_and(|of| of.file().sizes_leaks));
+        let middle_sized = |given| {
+            leak.map_or(given, |leak| {
+                cause::middle_sized(leak, &explanation.leak_of_other_law, absolute_m2, given)
             })
         };
         if explanation.verdict == ChangeVerdict::Named(Cause::PistonSeal, None) {
             let sized = cause::under_any_law(&explanation.leak_of_other_law, *plain, &given(&of_mean)?);
-            return Some(by_explanation(sized));
+            return Some(middle_sized(sized));
         }
         // Beside a leak the other cause must be certain: it would carry the baseline over what nobody knows.
         let (kind, has_leak) = explanation.other.filter(|_| explanation.verdict != ChangeVerdict::Unknown)?;
@@ -209,7 +210,7 @@ impl BaselineComparator {
         let given = cause::under_any_law(law, given(&present)?, &given(&of_mean)?);
         let healthy_limit_m2 =
             relative.kind(load_change.is_some(), &self.baseline.mean).calibration.healthy_limit;
-        Some(by_explanation(cause::beside(explanation, has_leak, given, healthy_limit_m2)))
+        Some(middle_sized(cause::beside(explanation, has_leak, given, healthy_limit_m2)))
     }
 
     /// Compares a cycle that ends at a time, s. One unlike everything that training has seen leaves sums and trend alone. `absolute_m2` is
@@ -224,9 +225,9 @@ impl BaselineComparator {
         let (plain, load, load_change) = self.compare(model, cycle)?;
         let relative = model.relative()?;
         let explained = self.explain(model, cycle);
-        let beside = explained.as_ref().and_then(|explained| {
-            self.beside((relative, model.causes()), cycle, explained, (&plain, load_change), absolute_m2)
-        });
+        let beside = explained
+            .as_ref()
+            .and_then(|explained| self.beside(model, cycle, explained, (&plain, load_change), absolute_m2));
         let is_beyond_training = plain.out_of_distribution.score > 1.0;
         let is_unlike = beside.is_none() && is_beyond_training;
         let estimate = beside.unwrap_or(plain);

@@ -81,18 +81,18 @@ pub(crate) fn leak_beyond_training(
     Some(RelativeEstimate { estimate, leak_residual_m2: seal.size, ..plain })
 }
 
-/// A leak that is named, sized by its explanation, or by the middle one of it, the regression and the estimate without a baseline; the interval has what the regression says as well. Whether it is one the regression's
-/// residual goes on to say, until it is certain. As beside it, another law than the one that was learned counts once it is certain.
-pub(crate) fn sized_by_its_explanation(
+/// A leak that is named, with the middle size of three that err for reasons of their own: its explanation's, the regression's, and that
+/// without a baseline, where the cycle is like those of training; without the third the explanation's. The interval has what explanation and
+/// regression leave open. Whether it is a leak the regression's residual goes on to say, until it is certain.
+pub(crate) fn middle_sized(
     seal: &Candidate,
     law: &OtherLaw,
     absolute_m2: Option<f64>,
     given: RelativeEstimate,
 ) -> RelativeEstimate {
     let explained = size_by_law(seal, law);
-    // Three estimates that err for reasons of their own: the middle one, where the third is of a cycle like those of training.
     let regressed = given.estimate.value;
-    let middle = |absolute: f64| explained.min(regressed).max(explained.max(regressed).min(absolute));
+    let middle = |absolute: f64| absolute.clamp(explained.min(regressed), explained.max(regressed));
     let size = absolute_m2.map_or(explained, middle);
     let ([low, high], [own_low, own_high]) = (seal.interval90, given.estimate.interval);
     let interval = [low.min(own_low).max(0.0), high.max(own_high)];
@@ -208,22 +208,22 @@ mod tests {
 
     /// The regression says 1 mm² ± 0.2 of a leak that is explained by 1.5 ± 0.4.
     #[test]
-    fn a_leak_sized_by_its_explanation_keeps_what_the_regression_leaves_open() {
+    fn a_leak_of_the_middle_size_keeps_what_the_regression_leaves_open() {
         let kind = Kind { cause: Cause::PistonSeal, side: None, unit: SizeUnit::Area };
         let seal = Candidate { kind, probability: 0.99, size: 1.5e-6, interval90: [1.1e-6, 1.9e-6] };
         let mut given = estimate(1e-6, [0.8e-6, 1.2e-6]);
         given.contributions_m2[0] = 1e-6;
-        let sized = sized_by_its_explanation(&seal, &OtherLaw::default(), None, given);
+        let sized = middle_sized(&seal, &OtherLaw::default(), None, given);
         assert_eq!((sized.estimate.value, sized.estimate.interval), (1.5e-6, [0.8e-6, 1.9e-6]));
         // What each phase contributes still adds up to the residual.
         assert_eq!((sized.leak_residual_m2, sized.contributions_m2[0]), (1.5e-6, 1.5e-6));
         // An orifice's 1.2 or a gap's 1.8, with even odds: an orifice's until the other is certain.
         let of_law = |probability| {
             let law = OtherLaw { probability, size: 1.8e-6, deviation: 0.1e-6 };
-            sized_by_its_explanation(&seal, &law, None, given).estimate.value
+            middle_sized(&seal, &law, None, given).estimate.value
         };
         for (absolute, middle) in [(0.2e-6, 1e-6), (1.3e-6, 1.3e-6), (4e-6, 1.5e-6)] {
-            let sized = sized_by_its_explanation(&seal, &OtherLaw::default(), Some(absolute), given);
+            let sized = middle_sized(&seal, &OtherLaw::default(), Some(absolute), given);
             assert_eq!(sized.estimate.value, middle);
         }
         assert!((of_law(0.5) / 1.2e-6 - 1.0).abs() < 1e-9 && of_law(0.97) == 1.8e-6);

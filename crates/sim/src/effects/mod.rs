@@ -428,9 +428,9 @@ pub(crate) fn friction_at_standstill_n_s_per_m(machine: &MachineSpec) -> f64 {
         machine.effects.get(effect).and_then(|values| values.get(parameter)).copied().unwrap_or(0.0)
     };
     let stribeck = value("stribeck_friction", "force_n").max(value("stribeck_friction", "static_force_n"));
-    let creep_speed =
-        machine.effects.get("stribeck_friction").and_then(|of| of.get(stribeck_friction::CREEP));
-    let firmness = TRANSITION_SPEED_M_PER_S / creep_speed.copied().unwrap_or(TRANSITION_SPEED_M_PER_S);
+    // Absent: as with the others.
+    let creep_speed = value("stribeck_friction", stribeck_friction::CREEP);
+    let firmness = if creep_speed > 0.0 { TRANSITION_SPEED_M_PER_S / creep_speed } else { 1.0 };
     let pressed = machine.plant.cap_area_m2 * machine.plant.relief_pressure_pa;
     let force_n = value("coulomb_friction", "force_n")
         + firmness * stribeck
