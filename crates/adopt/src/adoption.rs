@@ -91,6 +91,8 @@ pub struct Adoption {
     pub load_spread: Option<f64>,
     /// Whether the piston may meet a contact that the log does not show.
     pub unknown_contact: bool,
+    /// Whether a force may press in the holds that the log does not show.
+    pub unknown_hold_force: bool,
     /// What to know, one line each.
     pub remarks: Vec<String>,
 }
@@ -285,12 +287,13 @@ impl Adopter<'_> {
         let mut spec = MachineSpec { bounds: BTreeMap::new(), ..spec };
         spec.cycle.moves = plan;
         let spec = self.as_far(spec);
+        let knows_load = self.recording.log.get(Signal::Load).is_some();
         Ok(Adoption {
             noise: self.recording.log.get(Signal::Command).map_or(0.0, noise_of),
             load_spread: self.load_spread(),
             // With the command alone the demand takes up what presses; drawn beside it, it made sizes worse.
-            unknown_contact: origin != DemandOrigin::Command
-                && self.recording.log.get(Signal::Load).is_none(),
+            unknown_contact: origin != DemandOrigin::Command && !knows_load,
+            unknown_hold_force: !knows_load,
             spec: spec.with_stable_steps(),
             values,
             gains,

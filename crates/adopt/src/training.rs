@@ -58,6 +58,12 @@ pub struct TrainingBasis {
     /// Whether the piston may meet a contact that the log does not show.
     #[serde(default)]
     pub unknown_contact: bool,
+    /// Whether a force may press in the holds that the log does not show.
+    #[serde(default)]
+    pub unknown_hold_force: bool,
+    /// Whether the plant was fitted to the log, beyond its duty cycle.
+    #[serde(default)]
+    pub fitted: bool,
     /// How much the period varies, half of what nine of ten cycles lie between, share.
     pub period_spread: f64,
 }
@@ -71,6 +77,8 @@ impl TrainingBasis {
             noise: adoption.noise,
             load_spread: adoption.load_spread,
             unknown_contact: adoption.unknown_contact,
+            unknown_hold_force: adoption.unknown_hold_force,
+            fitted: adoption.calibration.is_some(),
             period_spread: 0.5 * found.period.spread_s() / found.period_s,
         }
     }
@@ -116,6 +124,8 @@ impl TrainingBasis {
                 unknown_seal: true,
                 null_deviation: NULL_DEVIATION,
             },
+            unknown_hold_force: self.unknown_hold_force,
+            fitted: self.fitted,
             alike_from: ALIKE_FROM,
             least_recognised: LEAST_RECOGNISED,
             noise: ((noise / NOISE_ROOM).max(1e-4), (noise * NOISE_ROOM).max(0.003)),

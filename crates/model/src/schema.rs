@@ -353,6 +353,10 @@ pub struct CausesFile {
     /// responses have room for a plant that is not quite the machine, which the regression of the leak residual has not.
     #[serde(default, skip_serializing_if = "core::ops::Not::not")]
     pub sizes_leaks: bool,
+    /// Whether the plant was fitted to the machine's own log. Of one that was not nobody knows the valve's null, which the estimate without a
+    /// baseline takes for a leak: it has no vote on a leak's size.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub fitted: bool,
     /// Causes at ranges of sizes.
     pub cells: Vec<CellFile>,
     /// Inputs with the outputs that must come out.
@@ -377,6 +381,9 @@ pub struct CellFile {
     /// Of a leak: whether it follows laws that the model's estimates have not learned.
     #[serde(default, skip_serializing_if = "core::ops::Not::not")]
     pub other_law: bool,
+    /// Of another cause: whether it is one class with a leak whatever the responses say.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub alike: bool,
     /// Mean size, in the kind's unit.
     pub size: f64,
     /// What the size changes by along each direction's standard deviation.

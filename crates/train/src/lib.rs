@@ -6,6 +6,7 @@ mod conformal;
 pub mod dataset;
 pub mod duty;
 pub mod forest;
+mod hold_force;
 pub mod leak_range;
 mod linear;
 mod null_region;

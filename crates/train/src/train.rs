@@ -48,6 +48,10 @@ pub struct TrainingSettings {
     pub relative_machines: usize,
     /// Machines with which each range of sizes of each cause is simulated; 0: the model names no causes.
     pub cause_machines: usize,
+    /// Whether a force may press in the holds of which nothing is known: causes then have leaks under each.
+    pub unknown_hold_force: bool,
+    /// Whether the plant was fitted to the machine's own log.
+    pub fitted: bool,
     /// Cosine of a cause's response and a leak's from which on the two are one class.
     pub alike_from: f64,
     /// Least share of the simulated cycles that must be recognised for a model to be made; the others are left out.
@@ -76,6 +80,8 @@ impl Default for TrainingSettings {
             conditions: Conditions::default(),
             relative_machines: 640,
             cause_machines: 16,
+            unknown_hold_force: false,
+            fitted: false,
             alike_from: 0.95,
             least_recognised: 0.99,
             calibrated_on: 2048,

@@ -3,32 +3,21 @@
 //! What a piston runs into at the end of its way is felt in the hold that follows, of which its strokes say little.
 
 use seepd_sim::MachineSpec;
-use seepd_sim::cycle::sum_of_loads;
 use seepd_sim::noise::Noise;
+
+use crate::hold_force::HoldForce;
 
 /// Share of the machines that nothing presses against.
 const FREE: f64 = 0.5;
 /// Largest force, share of the piston's largest.
 const LARGEST: f64 = 0.45;
-/// Moves that end this near to the furthest place, share of the cycle's way, touch.
-const TOUCHING: f64 = 0.02;
-/// Share of a move's time after which it presses, and by which the next one has let go.
-const PRESSES_FROM: f64 = 0.85;
-const GONE_BY: f64 = 0.3;
 
 /// Gives a machine a contact where its piston is out furthest, or none.
 pub(crate) fn put_on(spec: &mut MachineSpec, noise: &mut Noise) {
     let (drawn, size) = (noise.uniform(0.0, 1.0), noise.uniform(0.0, LARGEST));
-    if drawn < FREE {
-        return;
+    if drawn >= FREE {
+        HoldForce::Contact.press(spec, size);
     }
-    let force_n = -size * spec.plant.cap_area_m2 * spec.plant.relief_pressure_pa;
-    let (low_m, high_m) = spec.cycle.reach_m();
-    let touches = |to_m: f64| if high_m - to_m <= TOUCHING * (high_m - low_m) { force_n } else { 0.0 };
-    let levels: Vec<f64> = spec.cycle.moves.iter().map(|stroke| touches(stroke.to_m)).collect();
-    let comes = |level: f64| if level == 0.0 { (0.0, GONE_BY) } else { (PRESSES_FROM, 1.0) };
-    let contact = spec.cycle.load_by_moves(&levels, comes);
-    spec.cycle.load = sum_of_loads(&[(1.0, &spec.cycle.load), (1.0, &contact)]);
 }
 
 #[cfg(test)]

@@ -215,9 +215,14 @@ pub struct Causes {
     cells: Vec<Cell>,
     /// Indices of the cells of leaks, the smallest first.
     leaks: Vec<usize>,
+    /// Leaks under several laws and forces lie between each other: so many of each size.
+    leaks_of_a_size: usize,
     /// Means and directions of the cells.
     numbers: Vec<f64>,
 }
+
+/// Leaks whose sizes are in a smaller ratio belong to one range of sizes: those of neighbouring ranges are in one of 2.2.
+const ONE_SIZE: f64 = 1.5;
 
 /// Prior probabilities: nothing has changed, the seal alone, one other cause, the seal and another.
 const PRIOR_NONE: f64 = 0.25;
@@ -253,7 +258,7 @@ impl Causes {
             cells.push(Cell {
                 kind,
                 is_seal: cell.kind.cause == Cause::PistonSeal,
-                is_alike: false,
+                is_alike: cell.alike && cell.kind.cause != Cause::PistonSeal,
                 has_other_law: cell.other_law && cell.kind.cause == Cause::PistonSeal,
                 size: cell.size,
                 rest: cell.size_rest,
@@ -271,7 +276,10 @@ impl Causes {
         let mut leaks: Vec<usize> =
             (0..cells.len()).filter(|index| cells[*index].is_seal && cells[*index].size > 0.0).collect();
         leaks.sort_by(|a, b| cells[*a].size.total_cmp(&cells[*b].size));
-        let mut causes = Causes { file, kinds, priors, cells, leaks, numbers };
+        let smallest = leaks.first().map_or(0.0, |index| cells[*index].size);
+        let leaks_of_a_size =
+            leaks.iter().take_while(|index| cells[**index].size < ONE_SIZE * smallest).count();
+        let mut causes = Causes { file, kinds, priors, cells, leaks, leaks_of_a_size, numbers };
         causes.mark_what_is_alike();
         for (index, golden) in causes.file.golden.iter().enumerate() {
             causes.check_golden(golden, &format!("causes.golden[{index}]"))?;

@@ -283,8 +283,7 @@ impl<'c, const N: usize> Weighed<'c, N> {
                     (likeliest, place) = (log_weight, at);
                 }
                 in_vain = if log_weight < likeliest + NEGLIGIBLE { in_vain + 1 } else { 0 };
-                // Leaks of two laws lie between each other.
-                if in_vain == 2 {
+                if in_vain == causes.leaks_of_a_size {
                     break;
                 }
             }

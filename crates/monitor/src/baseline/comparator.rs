@@ -144,10 +144,12 @@ impl BaselineComparator {
         Some((estimate, load, load_change))
     }
 
-    /// What has changed. A valve with a dead band answers to causes in its own way, of which training knows nothing.
+    /// What has changed. A valve with a dead band answers to causes in its own way, of which training knows nothing, unless the plant is that of
+    /// the machine itself.
     fn explain(&mut self, model: &Model, cycle: &ValidCycle<'_>) -> Option<Explained> {
         let is_plain = model.relative()?.deadband(&self.baseline.mean).is_none();
-        self.tracker.take(model.causes().filter(|_| is_plain)?, &self.baseline, cycle)
+        let causes = model.causes().filter(|causes| is_plain || causes.file().sizes_leaks)?;
+        self.tracker.take(causes, &self.baseline, cycle)
     }
 
     /// The estimate beside the cause that has been found, its response taken off, or that of a leak beyond training; `None` where the plain
@@ -183,8 +185,9 @@ impl BaselineComparator {
         for (slot, (before, change)) in of_mean.iter_mut().zip(changes) {
             *slot = before + change;
         }
-        let leak =
-            cause::named_leak(explained).filter(|_| model.causes().is_some_and(|of| of.file().sizes_leaks));
+        let causes = model.causes()?.file();
+        let leak = cause::named_leak(explained).filter(|_| causes.sizes_leaks);
+        let absolute_m2 = absolute_m2.filter(|_| causes.fitted);
         let middle_sized = |given| {
             leak.map_or(given, |leak| {
                 cause::middle_sized(leak, &explanation.leak_of_other_law, absolute_m2, given)

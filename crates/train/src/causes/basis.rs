@@ -3,6 +3,7 @@
 use nalgebra::{DMatrix, SymmetricEigen};
 
 use super::{CauseSimulator, ordinary_days, unit_noise};
+use crate::hold_force::HoldForce;
 use crate::linear;
 
 /// Ordinary variation of load and of supply pressure, to either side; the oil's is the training's.
@@ -73,7 +74,7 @@ impl Basis {
 
 /// Number of numbers, and the covariance that noise of standard deviation 1 gives them, rows one after the other.
 fn noise_covariance(simulator: &CauseSimulator<'_>) -> Option<(usize, Vec<f64>)> {
-    let one = simulator.machine(super::purpose::ORDINARY, MACHINES);
+    let one = simulator.machine(super::purpose::ORDINARY, MACHINES, HoldForce::AsDrawn);
     let seed = simulator.settings.seed;
     let rows = super::simulate_stably(std::slice::from_ref(&one), |_, _, commands| {
         let still = simulator.numbers(commands, 0.0, &vec![0.0; commands.len()])?;

@@ -9,6 +9,7 @@ use seepd_sim::effects;
 use seepd_sim::noise::Noise;
 
 use crate::dataset::Observation;
+use crate::hold_force::HoldForce;
 use crate::leak_range::LeakRange;
 
 /// A cause, one law of it, and one sign: what it does as its size grows.
@@ -18,6 +19,8 @@ pub(super) struct Curve {
     ends: Vec<f64>,
     /// Of a leak: whether it follows another law than that of the estimates' training.
     pub(super) other_law: bool,
+    /// What presses in the holds of the machines that have it.
+    pub(super) force: HoldForce,
     apply: Apply,
 }
 
@@ -104,8 +107,8 @@ fn change(spec: &mut MachineSpec, effect: &str, parameter: &str, by: impl Fn(f64
     spec.effects.entry(effect.into()).or_default().insert(parameter.into(), value);
 }
 
-/// Every curve, for a machine's size of valve and piston.
-pub(super) fn all(spec: &MachineSpec) -> Vec<Curve> {
+/// Every curve, for a machine's size of valve and piston; leaks under every force that may press, where that is unknown.
+pub(super) fn all(spec: &MachineSpec, unknown_force: bool) -> Vec<Curve> {
     let valve = LeakRange::of(spec).scale();
     let nominal = MachineSpec::default();
     let strength = |spec: &MachineSpec| spec.plant.relief_pressure_pa * spec.plant.cap_area_m2;
@@ -113,7 +116,8 @@ pub(super) fn all(spec: &MachineSpec) -> Vec<Curve> {
     let force = strength(spec) / strength(&nominal);
     let stiffness = force * nominal.plant.stroke_m / spec.plant.stroke_m;
     let mut curves = Curves(Vec::new());
-    seal(&mut curves, valve);
+    let hold_forces = if unknown_force { HoldForce::all(spec) } else { vec![HoldForce::AsDrawn] };
+    hold_forces.into_iter().for_each(|force| seal(&mut curves, valve, force));
     valve_causes(&mut curves, valve);
     outside(&mut curves, valve);
     forces(&mut curves, spec, force, stiffness);
@@ -135,6 +139,7 @@ impl Curves {
             kind: Kind { cause, side: None, unit },
             ends,
             other_law: false,
+            force: HoldForce::AsDrawn,
             apply: Box::new(apply),
         });
     }
@@ -151,16 +156,20 @@ impl Curves {
     }
 }
 
-fn seal(curves: &mut Curves, valve: f64) {
+fn seal(curves: &mut Curves, valve: f64, force: HoldForce) {
     let kind = (Cause::PistonSeal, SizeUnit::Area);
     let ends = even(valve * 4e-9, valve * 1.3e-5, 10);
     curves.push(kind, ends.clone(), |machine, size, _| machine.leak_area_m2 += size);
+    if let Some(curve) = curves.0.last_mut() {
+        curve.force = force;
+    }
     // Long gaps are laminar, worn ones in between.
     curves.push(kind, ends, |machine, size, noise| {
         machine.leak_area_m2 += size;
         set(machine, "turbulent_leak", "exponent", noise.uniform(0.65, 1.0));
     });
     if let Some(curve) = curves.0.last_mut() {
+        curve.force = force;
         curve.other_law = true;
     }
 }

@@ -16,7 +16,8 @@ use seepd_sim::noise::Noise;
 use serde::{Deserialize, Serialize};
 
 use crate::conformal::significant;
-use crate::dataset::{self, Observation, Reading};
+use crate::dataset::{self, Observation, Reading, Spread};
+use crate::hold_force::HoldForce;
 use crate::portions::Portions;
 use crate::relative::{Conditions, simulate_stably};
 use crate::train::{TrainError, TrainingSettings};
@@ -67,13 +68,33 @@ struct Response {
     numbers: Vec<f64>,
 }
 
+/// Machines without a cause that a force presses against, and means and rises of their cycles, where these were found.
+struct Pressed {
+    force: HoldForce,
+    healthy: Vec<Observation>,
+    before: Vec<Option<Vec<f64>>>,
+}
+
 impl CauseSimulator<'_> {
-    /// A machine of the series on a day of its own.
-    fn machine(&self, purpose: u64, index: usize) -> Observation {
+    /// The causes of this machine.
+    fn curves(&self) -> Vec<Curve> {
+        curves::all(self.spec, self.settings.unknown_hold_force)
+    }
+
+    /// A machine of the series on a day of its own, with what presses against it.
+    fn machine(&self, purpose: u64, index: usize, force: HoldForce) -> Observation {
         let stream = (purpose << 32) + index as u64;
         let mut noise = Noise::new(self.settings.seed, stream);
         let conditions = &self.settings.conditions;
-        let machine = self.settings.spread.machine(self.spec, stream, &mut noise);
+        let spread = &self.settings.spread;
+        let machine = if force == HoldForce::AsDrawn {
+            spread.machine(self.spec, stream, &mut noise)
+        } else {
+            let spread = Spread { unknown_contact: false, ..spread.clone() };
+            let mut machine = spread.machine(self.spec, stream, &mut noise);
+            force.put_on(&mut machine.spec, &mut noise);
+            machine
+        };
         let oil_c = noise.uniform(conditions.oil_c.0, conditions.oil_c.1);
         Conditions::on_a_day(&machine, 1.0, oil_c, noise.factor(conditions.supply))
     }
@@ -94,6 +115,14 @@ impl CauseSimulator<'_> {
         Some(statistics.phase_means()[..phases].iter().chain(&rises[..phases]).copied().collect())
     }
 
+    /// So many machines that a force presses against, with what is read of their cycles.
+    fn pressed(&self, force: HoldForce, (machines, purpose): (usize, u64)) -> Pressed {
+        let healthy: Vec<Observation> =
+            (0..machines).map(|index| self.machine(purpose, index, force)).collect();
+        let before = self.read(&healthy);
+        Pressed { force, healthy, before }
+    }
+
     /// Responses at one in `step` of every curve's ranges: for each the curve's number and what the machines gave.
     fn responses(
         &self,
@@ -102,23 +131,30 @@ impl CauseSimulator<'_> {
         portions: &mut Portions,
         tell: &mut dyn FnMut(usize),
     ) -> Result<Vec<(usize, Vec<Response>)>, TrainError> {
-        let healthy: Vec<Observation> = (0..machines).map(|index| self.machine(purpose, index)).collect();
-        let before = self.read(&healthy);
-        let all = curves
+        let mut pressed: Vec<Pressed> = Vec::new();
+        for curve in curves {
+            if !pressed.iter().any(|pressed| pressed.force == curve.force) {
+                pressed.push(self.pressed(curve.force, (machines, purpose)));
+            }
+        }
+        let every = curves
             .iter()
             .enumerate()
             .flat_map(|(number, curve)| curve.ranges().map(move |range| (number, range)));
-        let ranges: Vec<(usize, (usize, [f64; 2]))> = all.enumerate().step_by(step).collect();
+        let ranges: Vec<(usize, (usize, [f64; 2]))> = every.enumerate().step_by(step).collect();
+        let all = curves.iter().map(|curve| curve.ranges().count()).sum();
         let respond = |(index, (number, range)): &(usize, (usize, [f64; 2]))| {
             let noise = Noise::new(self.settings.seed ^ 0x6361_7573, (purpose << 32) + *index as u64);
-            (*number, self.respond(&curves[*number], *range, (&healthy, &before), noise))
+            let curve = &curves[*number];
+            let machines = pressed.iter().find(|pressed| pressed.force == curve.force);
+            (*number, machines.map_or_else(Vec::new, |machines| self.respond(curve, *range, machines, noise)))
         };
         let mut cells = Vec::with_capacity(ranges.len());
         for (portion, ranges) in ranges.chunks(PORTION).enumerate() {
             let name = format!("responses {purpose} {portion}");
             let responses = portions.take(&name, || ranges.par_iter().map(respond).collect::<Vec<_>>())?;
             cells.extend(responses.into_iter().flatten());
-            tell(step * (portion * PORTION + ranges.len()));
+            tell((step * (portion * PORTION + ranges.len())).min(all));
         }
         Ok(cells)
     }
@@ -128,7 +164,7 @@ impl CauseSimulator<'_> {
         &self,
         curve: &Curve,
         range: [f64; 2],
-        (healthy, before): (&[Observation], &[Option<Vec<f64>>]),
+        Pressed { healthy, before, .. }: &Pressed,
         mut noise: Noise,
     ) -> Vec<Response> {
         let (sizes, observations): (Vec<f64>, Vec<Observation>) = healthy
@@ -165,7 +201,7 @@ pub(crate) fn learn(
         return Ok(None);
     }
     let basis = Basis::learn(simulator);
-    let curves = curves::all(simulator.spec);
+    let curves = simulator.curves();
     let responses = simulate_curves(simulator, &curves, portions, tell)?;
     Ok(basis.and_then(|basis| learn_from(simulator, &curves, &basis, &responses)))
 }
@@ -180,7 +216,7 @@ pub(crate) fn simulate(
     tell: &mut dyn FnMut(usize, usize),
 ) -> Result<(), TrainError> {
     if simulator.settings.cause_machines >= LEAST_MACHINES {
-        simulate_curves(simulator, &curves::all(simulator.spec), portions, tell)?;
+        simulate_curves(simulator, &simulator.curves(), portions, tell)?;
     }
     Ok(())
 }
@@ -214,14 +250,17 @@ fn learn_from(
 ) -> Option<CausesFile> {
     let machines = simulator.settings.cause_machines;
     let is_calibrated = simulator.settings.conditions.unknown_seal;
+    let may_be_wrong = simulator.settings.conditions.response_error > 0.0;
     let mut cells: Vec<CellFile> = Vec::new();
     for (number, responses) in learned {
         let curve = &curves[*number];
         if (responses.len() as f64) < LEAST_FOUND * machines as f64 {
             continue;
         }
-        let cell = cell(curve, basis, responses, is_calibrated);
-        if curve.kind.cause == Cause::PistonSeal && !curve.other_law {
+        let alike = may_be_wrong && curve.kind.cause == Cause::ValveLands;
+        let cell = CellFile { alike, ..cell(curve, basis, responses, is_calibrated) };
+        let is_plain = matches!(curve.force, HoldForce::AsDrawn | HoldForce::AsPlanned);
+        if curve.kind.cause == Cause::PistonSeal && !curve.other_law && is_plain {
             cells.push(reversed(&cell));
         }
         cells.push(cell);
@@ -232,7 +271,8 @@ fn learn_from(
         ordinary: basis.ordinary.clone(),
         known_limit: 1.0,
         alike_from: simulator.settings.alike_from,
-        sizes_leaks: simulator.settings.conditions.response_error > 0.0,
+        sizes_leaks: may_be_wrong,
+        fitted: simulator.settings.fitted,
         cells,
         golden: Vec::new(),
     };
@@ -315,6 +355,7 @@ fn cell(curve: &Curve, basis: &Basis, responses: &[Response], is_calibrated: boo
         kind: curve.kind,
         // Estimates of a plant that a log was calibrated to have learned seals of every law.
         other_law: curve.other_law && !is_calibrated,
+        alike: false,
         size,
         size_loadings,
         size_rest: (variance - explained).max(0.0).sqrt(),

@@ -33,7 +33,7 @@ pub struct PlantedCause {
 
 /// Draws `each` machines of the series for each cause, and three times as many that stay as they are.
 pub fn plant_causes(spec: &MachineSpec, spread: &Spread, each: usize, seed: u64) -> Vec<PlantedCause> {
-    let all = curves::all(spec);
+    let all = curves::all(spec, false);
     let causes = Cause::ALL.into_iter().map(Some).flat_map(|cause| std::iter::repeat_n(cause, each));
     let none = std::iter::repeat_n(None, HEALTHY_SHARE * each);
     causes

@@ -29,7 +29,7 @@ fn with_simulator(test: impl FnOnce(&CauseSimulator<'_>)) {
 #[test]
 fn analytic_null_shift_moves_every_mean_by_itself_and_no_rise() {
     with_simulator(|simulator| {
-        let curves: Vec<Curve> = curves::all(simulator.spec)
+        let curves: Vec<Curve> = curves::all(simulator.spec, false)
             .into_iter()
             .filter(|curve| curve.kind.cause == Cause::ValveNull)
             .collect();
@@ -50,11 +50,11 @@ fn analytic_null_shift_moves_every_mean_by_itself_and_no_rise() {
 #[test]
 fn curves_cover_their_sizes() {
     with_simulator(|simulator| {
-        let curves = curves::all(simulator.spec);
+        let curves = curves::all(simulator.spec, true);
         let cells: usize = curves.iter().map(|curve| curve.ranges().count()).sum();
         // An orifice's twice: the seal may leak less as well.
         assert!(cells + 10 <= seepd_model::causes::MAX_CELLS, "{cells}");
-        let healthy = simulator.machine(78, 0);
+        let healthy = simulator.machine(78, 0, HoldForce::AsDrawn);
         let mut noise = Noise::new(1, 1);
         for curve in &curves {
             let is_seal = curve.kind.cause == Cause::PistonSeal;
