@@ -48,15 +48,14 @@ pub struct ComparedCycle {
 }
 
 /// The estimate; where the cycle is like nothing in training, but its baseline is like a leaking machine's against this cycle, the machine
-/// leaked at its baseline, and leaks less now.
+/// leaked at its baseline, and leaks less now, unless something says that it surely leaks more.
 fn compare(
     relative: &Relative,
-    baseline: &[f64],
-    present: &[f64],
-    load_change: Option<f64>,
-    noise: f64,
+    comparison: &Comparison<'_>,
+    surely_leaks_more: impl FnOnce() -> bool,
 ) -> RelativeEstimate {
-    let estimate = relative.estimate(&Comparison { baseline, present, load_change, noise });
+    let Comparison { baseline, present, load_change, noise } = *comparison;
+    let estimate = relative.estimate(comparison);
     if estimate.out_of_distribution.score <= 1.0 {
         return estimate;
     }
@@ -67,7 +66,7 @@ fn compare(
         load_change: load_before,
         noise,
     });
-    if before.out_of_distribution.score > 1.0 || before.leak_residual_m2 <= 0.0 {
+    if before.out_of_distribution.score > 1.0 || before.leak_residual_m2 <= 0.0 || surely_leaks_more() {
         return estimate;
     }
     let healthy_limit = relative.kind(load_change.is_some(), baseline).calibration.healthy_limit;
@@ -131,17 +130,27 @@ impl BaselineComparator {
         model: &Model,
         cycle: &ValidCycle<'_>,
     ) -> Option<(RelativeEstimate, LoadKnowledge, Option<f64>)> {
-        let relative = model.relative()?;
-        let present = cycle.statistics.phase_means();
         let (load, load_change) = self.load_of(cycle);
-        let estimate = compare(
-            relative,
-            &self.baseline.mean,
-            present.get(..relative.phases())?,
-            load_change,
-            cycle.statistics.noise,
-        );
+        let estimate = self.compare_means(model, cycle, &cycle.statistics.phase_means(), load_change)?;
         Some((estimate, load, load_change))
+    }
+
+    /// Compares means that are a cycle's, or were made of it.
+    fn compare_means(
+        &self,
+        model: &Model,
+        cycle: &ValidCycle<'_>,
+        means: &[f64],
+        load_change: Option<f64>,
+    ) -> Option<RelativeEstimate> {
+        let (relative, noise) = (model.relative()?, cycle.statistics.noise);
+        let present = means.get(..relative.phases())?;
+        let comparison = Comparison { baseline: &self.baseline.mean, present, load_change, noise };
+        let surely_leaks_more = || {
+            let [least_m2, _] = model.estimate_at(cycle.features, noise).interval;
+            least_m2 > self.baseline.absolute_interval90_m2[1]
+        };
+        Some(compare(relative, &comparison, surely_leaks_more))
     }
 
     /// What has changed. A valve with a dead band answers to causes in its own way, of which training knows nothing, unless the plant is that of
@@ -170,16 +179,7 @@ impl BaselineComparator {
             return cause::leak_beyond_training(explanation, *plain).filter(|_| is_sure);
         }
         let present = cycle.statistics.phase_means();
-        let given = |present: &[f64]| {
-            let baseline = &self.baseline.mean;
-            Some(compare(
-                relative,
-                baseline,
-                present.get(..relative.phases())?,
-                load_change,
-                cycle.statistics.noise,
-            ))
-        };
+        let given = |means: &[f64]| self.compare_means(model, cycle, means, load_change);
         let mut of_mean = [0.0; MAX_PHASES];
         let changes = self.baseline.mean.iter().zip(self.tracker.mean_change());
         for (slot, (before, change)) in of_mean.iter_mut().zip(changes) {
@@ -277,5 +277,42 @@ impl BaselineComparator {
             (Some(before_n), Some(load)) => (LoadKnowledge::Measured, Some(load.mean_n / before_n - 1.0)),
             _ => (LoadKnowledge::Inferred, None),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use seepd_model::ModelFile;
+
+    use super::*;
+
+    /// A machine that leaked at its baseline and leaks no more answers the other way round: no leak, unless the estimate without a baseline
+    /// is sure that it leaks more.
+    #[test]
+    fn a_comparison_is_turned_round_unless_the_machine_surely_leaks_more() {
+        let file: ModelFile =
+            serde_json::from_slice(include_bytes!("../../../daemon/assets/model.json")).unwrap();
+        let model = Model::from_file(file).unwrap();
+        let relative = model.relative().unwrap();
+        let leaks = relative.file().golden.iter().filter(|golden| golden.estimate > 1e-7);
+        let mut turned = 0;
+        for golden in leaks {
+            let renewed = Comparison {
+                baseline: &golden.present,
+                present: &golden.baseline,
+                load_change: None,
+                noise: golden.noise,
+            };
+            let plain = relative.estimate(&renewed);
+            if plain.out_of_distribution.score <= 1.0 {
+                continue;
+            }
+            let given = compare(relative, &renewed, || false);
+            if given.estimate.value == 0.0 && given.leak_residual_m2 < 0.0 {
+                turned += 1;
+                assert_eq!(compare(relative, &renewed, || true), plain);
+            }
+        }
+        assert!(turned > 0);
     }
 }
