@@ -170,10 +170,11 @@ pub fn adopt(
     let log_period_s = 1.0 / recording.rate_hz;
     let of_log = |signal| found.mean_of(recording, signal, log_period_s);
     let positions = recording.log.get(Signal::Position).or(recording.log.get(Signal::Demand));
-    let speed = match (of_log(Signal::Command), of_log(Signal::Position).or(of_log(Signal::Demand))) {
+    let command = of_log(Signal::Command);
+    let speed = match (&command, of_log(Signal::Position).or(of_log(Signal::Demand))) {
         (Some(command), Some(position)) => {
-            together(&command, &position)?;
-            speed_over_command(&command, &position, log_period_s)
+            together(command, &position)?;
+            speed_over_command(command, &position, log_period_s)
         }
         _ => None,
     };
@@ -183,6 +184,8 @@ pub fn adopt(
         positions_m: positions
             .map(|x| (quantile(x.iter().copied(), 0.001), quantile(x.iter().copied(), 0.999))),
         speed_m_per_s: speed,
+        largest_command: command
+            .map(|command| command.iter().fold(0.0, |most: f64, value| most.max(value.abs()))),
     };
     let described = describe(data, &logged)?;
     let adopted = Adopter { recording, found, described, remarks: Vec::new() }.adopt(&logged);

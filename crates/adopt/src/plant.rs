@@ -18,6 +18,10 @@ const LPM_M3_PER_S: f64 = 1.0 / 60_000.0;
 const GRAVITY_M_PER_S2: f64 = 9.81;
 /// Rod diameter over bore where nobody said: between the usual area ratios of 1.4 and 1.6 (ISO 3320, ISO 6020-2).
 const USUAL_ROD_SHARE: f64 = 0.56;
+/// What a machine's fastest move usually takes of its pump's flow: pumps are chosen with a third to a half to spare.
+const USUAL_PUMP_SHARE: f64 = 0.7;
+/// Least opening of the valve that tells what it passes, share of full.
+const LEAST_OPENING: f64 = 0.05;
 /// Flow of the valve's loop at which servo valves are rated, bar (ISO 10770-1 measures at 70 bar), and proportional valves.
 const SERVO_RATED_BAR: f64 = 70.0;
 /// Speed gain of the position loop of the nominal press, 1/s, and its ratio of integral to proportional gain, 1/s.
@@ -47,6 +51,8 @@ mod tolerance {
     pub(super) const PUMP: f64 = 0.10;
     pub(super) const PRESSURE: f64 = 0.05;
     pub(super) const MASS: f64 = 0.20;
+    /// Of a valve that is told by the pump.
+    pub(super) const BY_THE_PUMP: f64 = 0.30;
     /// Of what is scaled from the nominal press: a factor of 2 to either side.
     pub(super) const UNKNOWN: f64 = 1.0;
 }
@@ -118,6 +124,8 @@ pub struct LoggedSize {
     pub positions_m: Option<(f64, f64)>,
     /// Speed over command where the machine moves, m/s at full command.
     pub speed_m_per_s: Option<f64>,
+    /// Largest command of the duty cycle, share of full command.
+    pub largest_command: Option<f64>,
 }
 
 /// Data that cannot be of one machine.
@@ -388,11 +396,26 @@ impl Describer {
                     speed / speed_of(p.cap_area_m2, p.annulus_area_m2, p.relief_pressure_pa, 1.0);
                 self.set(key, coefficient, Origin::Fitted, 0.3);
             }
-            (None, None) => {
-                let nominal = MachineSpec::default().plant;
-                let scale = self.spec.plant.cap_area_m2 / nominal.cap_area_m2;
-                self.usual(key, scale * nominal.valve_m3_per_s_sqrt_pa);
-            }
+            (None, None) => match by_the_pump(&self.spec, data, logged, half_width) {
+                Some(coefficient) => {
+                    self.set(key, coefficient, Origin::Default, tolerance::BY_THE_PUMP);
+                    self.remarks.push(format!(
+                        "valve.rated_flow_lpm is not given: the valve is taken to pass {:.0} % of the pump's flow at the largest command of the log; \
+                         sizes in L/min are in proportion to that",
+                        100.0 * USUAL_PUMP_SHARE
+                    ));
+                }
+                None => {
+                    let nominal = MachineSpec::default().plant;
+                    let scale = self.spec.plant.cap_area_m2 / nominal.cap_area_m2;
+                    self.usual(key, scale * nominal.valve_m3_per_s_sqrt_pa);
+                    self.remarks.push(
+                        "valve.rated_flow_lpm is not given, and nothing else tells the valve's flow: one that is usual for the bore is taken; \
+                         sizes in L/min are in proportion to that, and may be off by a factor of two"
+                            .into(),
+                    );
+                }
+            },
         }
         if half_width > 0.0 {
             self.spec.effects.insert(overlap::LAW.into(), overlap::law(half_width));
@@ -514,6 +537,19 @@ fn rated_land_pa(data: &MachineData) -> f64 {
     bar * BAR_PA / lands
 }
 
+/// The valve's coefficient, m³/(s √Pa), of a machine whose fastest move takes a usual share of what the pump gives; `None` where the pump or
+/// the command is unknown, or an accumulator gives more than the pump.
+fn by_the_pump(spec: &MachineSpec, data: &MachineData, logged: &LoggedSize, half_width: f64) -> Option<f64> {
+    let pump_m3_per_s = data.supply.pump_flow_lpm?.value() * LPM_M3_PER_S;
+    let opening = (logged.largest_command? - half_width) / (1.0 - half_width);
+    let p = &spec.plant;
+    let mean_area_m2 = 0.5 * (p.cap_area_m2 + p.annulus_area_m2);
+    let flow_m3_per_s =
+        mean_area_m2 * speed_of(p.cap_area_m2, p.annulus_area_m2, p.relief_pressure_pa, opening);
+    let is_told = data.supply.accumulator_l.is_none() && opening > LEAST_OPENING;
+    is_told.then(|| USUAL_PUMP_SHARE * pump_m3_per_s / flow_m3_per_s)
+}
+
 /// Steady speed at full command without a load, m/s, the mean of both ways: the pressures of both chambers balance the flows through both
 /// lands.
 pub(crate) fn speed_of(cap_m2: f64, annulus_m2: f64, supply_pa: f64, valve_m3_per_s_sqrt_pa: f64) -> f64 {
@@ -553,6 +589,40 @@ mod tests {
         assert_eq!(controller, nominal.controller);
         assert_eq!(described.values["valve_m3_per_s_sqrt_pa"].origin, Origin::User);
         assert_eq!(described.values["bulk_modulus_pa"].origin, Origin::Default);
+    }
+
+    /// By command alone a pump of 90 L/min tells a valve that passes 63 L/min, the mean of both ways, where the command is largest. Without
+    /// it, and beside an accumulator, the bore alone says what is usual.
+    #[test]
+    fn a_pump_tells_the_valve_where_neither_paper_nor_log_does() {
+        let of = |supply: &str, overlap: &str| {
+            let text = format!(
+                "[cylinder]\nbore_mm = 63\nrod_mm = 36\n[valve]\n{overlap}\n[supply]\nrelief_bar = 160\n{supply}\n"
+            );
+            let data = MachineData::from_toml(&text).unwrap();
+            let logged = LoggedSize {
+                log_period_s: 1e-3,
+                period_s: 10.0,
+                largest_command: Some(0.6),
+                ..LoggedSize::default()
+            };
+            describe(&data, &logged).unwrap()
+        };
+        for (overlap, opening) in [("", 0.6), ("overlap_percent = 5", 0.55 / 0.95)] {
+            let told = of("pump_flow_lpm = 90", overlap);
+            let p = &told.spec.plant;
+            let valve = opening * p.valve_m3_per_s_sqrt_pa;
+            let speed_m_per_s = speed_of(p.cap_area_m2, p.annulus_area_m2, p.relief_pressure_pa, valve);
+            let flow_lpm = 0.5 * (p.cap_area_m2 + p.annulus_area_m2) * speed_m_per_s / LPM_M3_PER_S;
+            assert!((flow_lpm / 63.0 - 1.0).abs() < 1e-9, "{overlap}: {flow_lpm}");
+            assert_eq!(told.values["valve_m3_per_s_sqrt_pa"].tolerance, tolerance::BY_THE_PUMP);
+            assert!(told.remarks.iter().any(|remark| remark.contains("70 % of the pump's flow")));
+        }
+        for supply in ["", "pump_flow_lpm = 90\naccumulator_l = 10"] {
+            let untold = of(supply, "");
+            assert_eq!(untold.values["valve_m3_per_s_sqrt_pa"].tolerance, tolerance::UNKNOWN, "{supply}");
+            assert!(untold.remarks.iter().any(|remark| remark.contains("a factor of two")));
+        }
     }
 
     /// Full command opens an overlapped valve by what is left beyond the overlap, and gives the rated flow all the same. A jump alone tells
