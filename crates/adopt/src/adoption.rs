@@ -93,6 +93,8 @@ pub struct Adoption {
     pub unknown_contact: bool,
     /// Whether a force may press in the holds that the log does not show.
     pub unknown_hold_force: bool,
+    /// Whether the valve's overlap was fitted to the log, or is the user's.
+    pub knows_overlap: bool,
     /// What to know, one line each.
     pub remarks: Vec<String>,
 }
@@ -290,6 +292,7 @@ impl Adopter<'_> {
         let mut spec = MachineSpec { bounds: BTreeMap::new(), ..spec };
         spec.cycle.moves = plan;
         let spec = self.as_far(spec);
+        let knows_overlap = calibration.is_some() || self.described.knows_overlap;
         let knows_load = self.recording.log.get(Signal::Load).is_some();
         Ok(Adoption {
             noise: self.recording.log.get(Signal::Command).map_or(0.0, noise_of),
@@ -297,6 +300,7 @@ impl Adopter<'_> {
             // With the command alone the demand takes up what presses; drawn beside it, it made sizes worse.
             unknown_contact: origin != DemandOrigin::Command && !knows_load,
             unknown_hold_force: !knows_load,
+            knows_overlap,
             spec: spec.with_stable_steps(),
             values,
             gains,

@@ -32,6 +32,8 @@ const NULL_DEVIATION: f64 = 0.3;
 /// How far a calibrated plant may be wrong about what a leak does to a phase, share: what cells of causes are given for laws that nobody has
 /// simulated.
 const RESPONSE_ERROR: f64 = 0.2;
+/// Share of the machines whose valve overlaps where nobody knows whether it does, and the widest half width, share of full command.
+const UNKNOWN_OVERLAP: (f64, f64) = (0.2, 0.1);
 /// Cosine of a cause's response and a leak's from which on they are one class: the plant is not the machine, and responses are known less
 /// well.
 const ALIKE_FROM: f64 = 0.9;
@@ -64,6 +66,9 @@ pub struct TrainingBasis {
     /// Whether the plant was fitted to the log, beyond its duty cycle.
     #[serde(default)]
     pub fitted: bool,
+    /// Whether the valve's overlap was fitted to the log, or is the user's.
+    #[serde(default)]
+    pub knows_overlap: bool,
     /// How much the period varies, half of what nine of ten cycles lie between, share.
     pub period_spread: f64,
 }
@@ -79,6 +84,7 @@ impl TrainingBasis {
             unknown_contact: adoption.unknown_contact,
             unknown_hold_force: adoption.unknown_hold_force,
             fitted: adoption.calibration.is_some(),
+            knows_overlap: adoption.knows_overlap,
             period_spread: 0.5 * found.period.spread_s() / found.period_s,
         }
     }
@@ -123,9 +129,11 @@ impl TrainingBasis {
                 unknown_contact: self.unknown_contact,
                 unknown_seal: true,
                 null_deviation: NULL_DEVIATION,
+                deadband: if self.knows_overlap { (0.0, 0.0) } else { UNKNOWN_OVERLAP },
             },
             unknown_hold_force: self.unknown_hold_force,
             fitted: self.fitted,
+            knows_dead_band: self.knows_overlap,
             alike_from: ALIKE_FROM,
             least_recognised: LEAST_RECOGNISED,
             noise: ((noise / NOISE_ROOM).max(1e-4), (noise * NOISE_ROOM).max(0.003)),
@@ -138,6 +146,7 @@ impl TrainingBasis {
                 unknown_seal: true,
                 null_deviation: NULL_DEVIATION,
                 response_error: RESPONSE_ERROR,
+                deadband: if self.knows_overlap { Conditions::default().deadband } else { UNKNOWN_OVERLAP },
                 ..Conditions::default()
             },
             ..usual

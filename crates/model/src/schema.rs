@@ -357,6 +357,10 @@ pub struct CausesFile {
     /// baseline takes for a leak: it has no vote on a leak's size.
     #[serde(default, skip_serializing_if = "core::ops::Not::not")]
     pub fitted: bool,
+    /// Whether the plant has the machine's own dead band, or is known to have none: a baseline that seems to show a further one is explained
+    /// all the same.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub knows_dead_band: bool,
     /// Causes at ranges of sizes.
     pub cells: Vec<CellFile>,
     /// Inputs with the outputs that must come out.

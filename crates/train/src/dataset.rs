@@ -32,6 +32,8 @@ pub struct Spread {
     pub unknown_seal: bool,
     /// How far the flow gain of a machine's valve may be off at its null, share to either side.
     pub null_deviation: f64,
+    /// Share of the machines whose valve overlaps beyond the plan's, and the widest half width, share of full command.
+    pub deadband: (f64, f64),
 }
 
 impl Default for Spread {
@@ -43,6 +45,7 @@ impl Default for Spread {
             unknown_contact: false,
             unknown_seal: false,
             null_deviation: 0.0,
+            deadband: (0.0, 0.0),
         }
     }
 }
@@ -59,6 +62,12 @@ impl Spread {
         let laminar_share = if self.unknown_seal { unknown_seal::laminar_share(noise) } else { 0.0 };
         let widest = self.null_deviation;
         let null_deviation = if widest > 0.0 { noise.uniform(-widest, widest) } else { 0.0 };
+        let (share, widest) = self.deadband;
+        let overlaps = share > 0.0 && noise.uniform(0.0, 1.0) < share;
+        let extra_deadband = if overlaps { noise.uniform(0.0, widest) } else { 0.0 };
+        if overlaps {
+            spec = series::with_more_deadband(&spec, extra_deadband);
+        }
         Observation {
             spec,
             load_factor,
@@ -66,7 +75,7 @@ impl Spread {
             leak_area_m2: 0.0,
             laminar_share,
             null_deviation,
-            extra_deadband: 0.0,
+            extra_deadband,
             stream,
         }
     }
@@ -347,5 +356,20 @@ mod tests {
             let ticks = simulate(&[one], |_, commands| commands.len())[0] as f64;
             assert!(ticks > 1e3 * period_s && ticks < 3e3 * period_s + 100.0, "{period_s}: {ticks}");
         }
+    }
+
+    /// A fifth of the machines overlap, by up to a tenth of full command, evenly; the others do as the plan does.
+    #[test]
+    fn valves_that_may_overlap_do_so_by_their_share() {
+        let spread = Spread { deadband: (0.2, 0.1), ..Spread::default() };
+        let mut noise = Noise::new(5, 1);
+        let drawn: Vec<Observation> =
+            (0..2000).map(|stream| spread.machine(&MachineSpec::default(), stream, &mut noise)).collect();
+        let wide: Vec<f64> =
+            drawn.iter().map(|one| one.extra_deadband).filter(|width| *width > 0.0).collect();
+        // Three standard errors of a share of 0.2, and of the mean of as many numbers.
+        assert!((wide.len() as f64 / 2000.0 - 0.2).abs() < 0.027, "{}", wide.len());
+        assert!((wide.iter().sum::<f64>() / wide.len() as f64 - 0.05).abs() < 0.0044);
+        assert!(drawn.iter().all(|one| (series::deadband(&one.spec) - one.extra_deadband).abs() < 1e-12));
     }
 }

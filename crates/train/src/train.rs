@@ -52,6 +52,8 @@ pub struct TrainingSettings {
     pub unknown_hold_force: bool,
     /// Whether the plant was fitted to the machine's own log.
     pub fitted: bool,
+    /// Whether the plant has the machine's own dead band, or is known to have none.
+    pub knows_dead_band: bool,
     /// Cosine of a cause's response and a leak's from which on the two are one class.
     pub alike_from: f64,
     /// Least share of the simulated cycles that must be recognised for a model to be made; the others are left out.
@@ -82,6 +84,7 @@ impl Default for TrainingSettings {
             cause_machines: 16,
             unknown_hold_force: false,
             fitted: false,
+            knows_dead_band: false,
             alike_from: 0.95,
             least_recognised: 0.99,
             calibrated_on: 2048,

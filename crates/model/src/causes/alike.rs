@@ -121,6 +121,7 @@ mod tests {
             alike_from: 0.95,
             sizes_leaks: false,
             fitted: false,
+            knows_dead_band: false,
             cells: cells(Cause::PistonSeal, SizeUnit::Area, 0.2, leak)
                 .chain(cells(Cause::ValveNull, SizeUnit::Share, 0.01, [1.0, 1.0, 0.0, 0.0]))
                 .chain(cells(Cause::Friction, SizeUnit::Force, 0.2, [1.0, -1.0, 0.0, 0.0]))

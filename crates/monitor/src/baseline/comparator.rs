@@ -153,11 +153,11 @@ impl BaselineComparator {
         Some(compare(relative, &comparison, surely_leaks_more))
     }
 
-    /// What has changed. A valve with a dead band answers to causes in its own way, of which training knows nothing, unless the plant is that of
-    /// the machine itself.
+    /// What has changed. A valve with a dead band answers to causes in its own way, of which training knows nothing, unless the plant is
+    /// known to have the machine's own.
     fn explain(&mut self, model: &Model, cycle: &ValidCycle<'_>) -> Option<Explained> {
         let is_plain = model.relative()?.deadband(&self.baseline.mean).is_none();
-        let causes = model.causes().filter(|causes| is_plain || causes.file().sizes_leaks)?;
+        let causes = model.causes().filter(|causes| is_plain || causes.file().knows_dead_band)?;
         self.tracker.take(causes, &self.baseline, cycle)
     }
 

@@ -273,6 +273,7 @@ fn learn_from(
         alike_from: simulator.settings.alike_from,
         sizes_leaks: may_be_wrong,
         fitted: simulator.settings.fitted,
+        knows_dead_band: simulator.settings.knows_dead_band,
         cells,
         golden: Vec::new(),
     };
