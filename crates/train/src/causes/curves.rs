@@ -159,18 +159,16 @@ impl Curves {
 fn seal(curves: &mut Curves, valve: f64, force: HoldForce) {
     let kind = (Cause::PistonSeal, SizeUnit::Area);
     let ends = even(valve * 4e-9, valve * 1.3e-5, 10);
+    let first = curves.0.len();
     curves.push(kind, ends.clone(), |machine, size, _| machine.leak_area_m2 += size);
-    if let Some(curve) = curves.0.last_mut() {
-        curve.force = force;
-    }
     // Long gaps are laminar, worn ones in between.
     curves.push(kind, ends, |machine, size, noise| {
         machine.leak_area_m2 += size;
         set(machine, "turbulent_leak", "exponent", noise.uniform(0.65, 1.0));
     });
-    if let Some(curve) = curves.0.last_mut() {
+    for (law, curve) in curves.0.iter_mut().skip(first).enumerate() {
         curve.force = force;
-        curve.other_law = true;
+        curve.other_law = law > 0;
     }
 }
 
