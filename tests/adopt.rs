@@ -94,6 +94,8 @@ fn another_press_is_adopted_and_its_leak_sized() {
     ]));
     let page = fs::read_to_string(out.join("adopt.html")).unwrap();
     assert!(page.contains("Adopted: press-3") && page.contains("extend") && !page.contains("http"));
+    // The data sheet's valve, as it writes it.
+    assert!(page.contains("L/min at 70 bar over the loop") && page.contains("valve_m3_per_s_sqrt_pa = "));
 
     // 3 L/min at 70 bar are 0.56 mm², 1.6 % of what the valve passes.
     let leaking = folder.path().join("leaking.mcap");

@@ -11,7 +11,7 @@ use seepd_sim::{MachineSpec, PlantParameters};
 use seepd_train::Trained;
 
 use super::chart::{Axis, Chart, Layer, number};
-use super::page;
+use super::{catalogue, page};
 use crate::commands::adopt::Described;
 use crate::commands::adopt::capability::Capability;
 use crate::commands::adopt::told;
@@ -106,20 +106,31 @@ impl AdoptPage<'_> {
         let c = &self.plant.controller;
         html! {
             @if let Some(described) = self.described {
-                @for remark in &described.adoption.remarks { p { (remark) } }
+                @for remark in &described.adoption.remarks { p { (sentence(remark)) } }
             }
             div.scroll { table {
-                thead { tr { th { "Value" } th.number { "SI" } th { "where it comes from" } } }
+                thead { tr { th { "Value" } th.number { "is" } th { "" } th { "in plant.toml" } th { "where it comes from" } } }
                 tbody {
-                    @for info in PlantParameters::ALL { tr {
-                        td { (info.key) }
-                        td.number { (number(self.plant.plant.get(info.key).unwrap_or(f64::NAN))) }
-                        td { @if let Some(value) = of(info.key) { (words(value)) } }
+                    @for info in PlantParameters::ALL {
+                        @let si = self.plant.plant.get(info.key).unwrap_or(f64::NAN);
+                        @let (value, unit) = catalogue::value(info, si);
+                        tr {
+                            td { (catalogue::words(info)) }
+                            td.number { (number(value)) }
+                            td { (unit) }
+                            td.soft { (info.key) " = " (number(si)) }
+                            td { @if let Some(value) = of(info.key) { (words(value)) } }
+                        }
+                    }
+                    @for (name, key, value, unit) in [("proportional gain", "kp", c.kp, "1/m"), ("integral gain", "ki", c.ki, "1/(m s)"),
+                        ("differential gain", "kd", c.kd, "s/m"), ("velocity feed-forward", "velocity_feed_forward_s_per_m", c.velocity_feed_forward_s_per_m, "s/m"),
+                        ("jump over the dead band", "dead_band_compensation", c.dead_band_compensation, "of full command")] { tr {
+                        td { "Controller: " (name) } td.number { (number(value)) } td { (unit) } td.soft { "controller." (key) } td {}
                     } }
-                    @for (name, value) in [("Kp, 1/m", c.kp), ("Ki, 1/(m s)", c.ki), ("Kd, s/m", c.kd), ("velocity feed-forward, s/m", c.velocity_feed_forward_s_per_m),
-                        ("jump over the dead band, share of full", c.dead_band_compensation)] { tr {
-                        td { "controller: " (name) } td.number { (number(value)) } td {}
-                    } }
+                    @for (effect, values) in &self.plant.effects { @for (name, value) in values { tr {
+                        td { "Effect: " (effect.replace('_', " ")) } td.number { (number(*value)) } td { (catalogue::unit_of_effect(effect, name)) }
+                        td.soft { "effects." (effect) "." (name) } td {}
+                    } } }
                 }
             } }
         }
@@ -129,12 +140,23 @@ impl AdoptPage<'_> {
         let Some(baseline) = self.baseline.newest() else { return html! {} };
         html! {
             p { (baseline.cycles) " cycles, " (baseline.left_out) " were unlike the others and left out. Noise of the command: " (format!("{:.4}", baseline.noise)) " of full." }
-            @for remark in &baseline.remarks { p { (remark) } }
+            @for remark in &baseline.remarks { p { (sentence(remark)) } }
             @if let Some(trained) = self.trained {
                 p.soft { "The model learned from " (trained.learned.target.len()) " simulated machines; of the leaks of others, "
                     (format!("{:.0}", 100.0 * trained.report.accuracy.coverage)) " % lie within its 90 % intervals." }
             }
         }
+    }
+}
+
+/// A remark as a sentence of its own. A key that it begins with stays as it is written in files.
+fn sentence(remark: &str) -> String {
+    let end = if remark.ends_with(['.', '?', '!']) { "" } else { "." };
+    let begins_with_a_key = remark.split(' ').next().is_some_and(|word| word.contains(['.', '_']));
+    let mut letters = remark.chars();
+    match letters.next().filter(|_| !begins_with_a_key) {
+        Some(first) => format!("{}{}{end}", first.to_uppercase(), letters.as_str()),
+        None => format!("{remark}{end}"),
     }
 }
 
@@ -222,5 +244,17 @@ fn gap(described: &Described) -> Markup {
             } } }
         }
         (chart.render())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::sentence;
+
+    #[test]
+    fn remarks_become_sentences_and_keys_stay_as_they_are() {
+        assert_eq!(sentence("the log is short"), "The log is short.");
+        assert_eq!(sentence("valve.rated_flow_lpm is not given."), "valve.rated_flow_lpm is not given.");
+        assert_eq!(sentence("öl is cold; is it?"), "Öl is cold; is it?");
     }
 }

@@ -2,6 +2,8 @@
 
 #[cfg(feature = "adopt")]
 pub(crate) mod adopt;
+#[cfg(feature = "adopt")]
+mod catalogue;
 #[cfg(feature = "train")]
 pub mod cause_evaluation;
 pub mod chart;
