@@ -49,10 +49,8 @@ fn schema() -> Result<SerdeArrowSchema, Failure> {
     fields.push(number("load_change"));
     fields.push(text("finding"));
     fields.push(number("drift_sum"));
-    for name in ["time_to_leak", "time_to_severe"] {
-        let dates = vec![number("expected_s"), number("earliest_s"), number("latest_s")];
-        fields.push(structure(name, dates));
-    }
+    let time_to = |name: &str| structure(name, ["expected_s", "earliest_s", "latest_s"].map(number).to_vec());
+    fields.extend(["time_to_leak", "time_to_severe"].map(time_to));
     fields.push(values("why"));
     fields.push(text("cause"));
     fields.push(number("cause_probability"));
@@ -78,12 +76,17 @@ fn schema() -> Result<SerdeArrowSchema, Failure> {
         number("size"),
         text("unit"),
         interval("interval90"),
+        number("sum"),
         integer("onset_cycle"),
+        list("onset_cycles", integer("element")),
         integer("onset_ns"),
+        list("onset_range_ns", integer("element")),
         text("manner"),
         number("rate_per_day"),
+        interval("rate90_per_day"),
         text("severity"),
         number("matters_from"),
+        time_to("time_to_matter"),
     ];
     fields.push(list("conditions", structure("element", condition)));
     fields.push(number("distance"));
