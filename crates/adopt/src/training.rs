@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use seepd_features::Kalman;
-use seepd_sim::MachineSpec;
 use seepd_sim::noise::Noise;
 use seepd_sim::series::{self, Direction, Tolerances};
+use seepd_sim::{DutyCycle, MachineSpec};
 use seepd_train::{Conditions, Spread, TrainingSettings};
 use serde::{Deserialize, Serialize};
 
@@ -14,6 +14,8 @@ use crate::duty_cycle::FoundCycle;
 
 /// Time constant of the filter over the period: 70 ms of 10 s (the article's).
 const FILTER_SHARE: f64 = 0.007;
+/// The same at most over the shortest stroke.
+const STROKE_SHARE: f64 = 0.3;
 /// The filter does not smooth over less than this many samples.
 const LEAST_FILTER_SAMPLES: f64 = 0.5;
 /// The article's measurement noise, by which a filter's gain is expressed.
@@ -137,7 +139,7 @@ impl TrainingBasis {
             alike_from: ALIKE_FROM,
             least_recognised: LEAST_RECOGNISED,
             noise: ((noise / NOISE_ROOM).max(1e-4), (noise * NOISE_ROOM).max(0.003)),
-            filter: Some(filter(spec.cycle.period_s, c.log_period_s())),
+            filter: Some(filter(time_constant_s(&spec.cycle), c.log_period_s())),
             conditions: Conditions {
                 parameters: tolerances,
                 machine_load: load,
@@ -154,9 +156,16 @@ impl TrainingBasis {
     }
 }
 
-/// The article's filter for another period and rate: a random walk's, with the gain that gives the time constant.
-pub fn filter(period_s: f64, log_period_s: f64) -> Kalman {
-    let samples = (FILTER_SHARE * period_s / log_period_s).max(LEAST_FILTER_SAMPLES);
+/// The filter's time constant for a duty cycle, s: its shortest stroke must come through.
+pub fn time_constant_s(cycle: &DutyCycle) -> f64 {
+    let strokes_s = cycle.moves.iter().map(|stroke| stroke.to_s - stroke.from_s);
+    let shortest_s = strokes_s.fold(f64::INFINITY, f64::min);
+    (FILTER_SHARE * cycle.period_s).min(STROKE_SHARE * shortest_s)
+}
+
+/// The article's filter for another time constant and rate: a random walk's, with the gain that gives the time constant.
+pub fn filter(time_constant_s: f64, log_period_s: f64) -> Kalman {
+    let samples = (time_constant_s / log_period_s).max(LEAST_FILTER_SAMPLES);
     let gain = 1.0 - (-1.0 / samples).exp();
     // The steady gain K of a random walk with process noise Q and measurement noise R: Q / R = K² / (1 − K).
     Kalman { q: KALMAN_R * gain * gain / (1.0 - gain), r: KALMAN_R }
@@ -169,9 +178,18 @@ mod tests {
     #[test]
     fn the_filter_of_the_nominal_press_is_about_the_articles() {
         let article = Kalman::default();
-        let ours = filter(10.0, 1e-3);
+        let ours = filter(time_constant_s(&MachineSpec::default().cycle), 1e-3);
         assert!((ours.q / article.q - 1.0).abs() < 0.05 && ours.r == article.r, "{ours:?}");
         // At a tenth of the rate the gain is ten times as large, the time constant the same.
-        assert!(filter(10.0, 1e-2).q > 80.0 * ours.q);
+        assert!(filter(0.07, 1e-2).q > 80.0 * ours.q);
+    }
+
+    /// A stroke of 0.1 s in a cycle of 50 s: 0.35 s would leave nothing of it.
+    #[test]
+    fn a_short_stroke_comes_through_the_filter() {
+        let mut cycle = MachineSpec::default().cycle;
+        cycle.period_s = 50.0;
+        cycle.moves[0].to_s = cycle.moves[0].from_s + 0.1;
+        assert!((time_constant_s(&cycle) - 0.03).abs() < 1e-12);
     }
 }
