@@ -109,27 +109,26 @@ impl AdoptPage<'_> {
                 @for remark in &described.adoption.remarks { p { (sentence(remark)) } }
             }
             div.scroll { table {
-                thead { tr { th { "Value" } th.number { "is" } th { "" } th { "in plant.toml" } th { "where it comes from" } } }
+                thead { tr { th { "Value" } th { "is" } th { "where it comes from" } th { "in plant.toml" } } }
                 tbody {
                     @for info in PlantParameters::ALL {
                         @let si = self.plant.plant.get(info.key).unwrap_or(f64::NAN);
                         @let (value, unit) = catalogue::value(info, si);
                         tr {
                             td { (catalogue::words(info)) }
-                            td.number { (number(value)) }
-                            td { (unit) }
-                            td.soft { (info.key) " = " (number(si)) }
+                            td { (number(value)) " " (unit) }
                             td { @if let Some(value) = of(info.key) { (words(value)) } }
+                            td.soft { (info.key) " = " (number(si)) }
                         }
                     }
                     @for (name, key, value, unit) in [("proportional gain", "kp", c.kp, "1/m"), ("integral gain", "ki", c.ki, "1/(m s)"),
                         ("differential gain", "kd", c.kd, "s/m"), ("velocity feed-forward", "velocity_feed_forward_s_per_m", c.velocity_feed_forward_s_per_m, "s/m"),
                         ("jump over the dead band", "dead_band_compensation", c.dead_band_compensation, "of full command")] { tr {
-                        td { "Controller: " (name) } td.number { (number(value)) } td { (unit) } td.soft { "controller." (key) } td {}
+                        td { "Controller: " (name) } td { (number(value)) " " (unit) } td {} td.soft { "controller." (key) }
                     } }
                     @for (effect, values) in &self.plant.effects { @for (name, value) in values { tr {
-                        td { "Effect: " (effect.replace('_', " ")) } td.number { (number(*value)) } td { (catalogue::unit_of_effect(effect, name)) }
-                        td.soft { "effects." (effect) "." (name) } td {}
+                        td { "Effect: " (effect.replace('_', " ")) } td { (number(*value)) " " (catalogue::unit_of_effect(effect, name)) }
+                        td {} td.soft { "effects." (effect) "." (name) }
                     } } }
                 }
             } }

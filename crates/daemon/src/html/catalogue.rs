@@ -11,9 +11,17 @@ const OVER_A_LAND_PA: f64 = 3.5e6;
 /// Pressure difference over a line at which its flow is stated, Pa.
 const OVER_A_LINE_PA: f64 = 1e5;
 
-/// What a parameter is, without its unit.
+/// What a value in a catalogue's unit is: the plant's own words without their unit, but for coefficients and resistances that are given as
+/// flows.
 pub(super) fn words(info: &ParameterInfo) -> &'static str {
-    info.description.rsplit_once(", ").map_or(info.description, |(words, _)| words.trim())
+    match info.key {
+        "valve_m3_per_s_sqrt_pa" => "Valve's flow at full command",
+        "line_m3_per_s_sqrt_pa" => "Line's flow",
+        "seal_resistance_pa_s_per_m3" => "Leakage of a healthy piston seal",
+        "valve_return_resistance_pa_s_per_m3" => "Leakage of the valve, inlet → return",
+        "valve_rod_resistance_pa_s_per_m3" => "Leakage of the valve, inlet → rod port",
+        _ => info.description.rsplit_once(", ").map_or(info.description, |(words, _)| words.trim()),
+    }
 }
 
 /// A value in a catalogue's unit.
@@ -60,13 +68,13 @@ mod tests {
         };
         assert_eq!(
             read("valve_m3_per_s_sqrt_pa"),
-            (96.0, "L/min at 70 bar over the loop", "Valve coefficient at full command")
+            (96.0, "L/min at 70 bar over the loop", "Valve's flow at full command")
         );
         assert_eq!(read("pump_flow_m3_per_s"), (90.0, "L/min", "Pump flow"));
         assert_eq!(read("relief_pressure_pa"), (160.0, "bar", "Relief valve's opening pressure"));
         assert_eq!(
             read("seal_resistance_pa_s_per_m3"),
-            (0.042, "L/min at 70 bar", "Laminar resistance of a healthy piston seal")
+            (0.042, "L/min at 70 bar", "Leakage of a healthy piston seal")
         );
         assert_eq!(read("relief_resistance_pa_s_per_m3"), (0.083, "bar per L/min", "Relief valve's slope"));
         assert_eq!(read("stroke_m"), (500.0, "mm", "Stroke"));
