@@ -15,7 +15,7 @@ use serde::de::DeserializeOwned;
 use crate::leak_range::LeakRange;
 use crate::portions::Portions;
 use crate::train::TrainError;
-use crate::{null_region, unknown_contact, unknown_seal};
+use crate::{null_region, unknown_contact, unknown_overlap, unknown_seal};
 
 /// How simulated machines differ from the plan.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,12 +62,7 @@ impl Spread {
         let laminar_share = if self.unknown_seal { unknown_seal::laminar_share(noise) } else { 0.0 };
         let widest = self.null_deviation;
         let null_deviation = if widest > 0.0 { noise.uniform(-widest, widest) } else { 0.0 };
-        let (share, widest) = self.deadband;
-        let overlaps = share > 0.0 && noise.uniform(0.0, 1.0) < share;
-        let extra_deadband = if overlaps { noise.uniform(0.0, widest) } else { 0.0 };
-        if overlaps {
-            spec = series::with_more_deadband(&spec, extra_deadband);
-        }
+        let extra_deadband = unknown_overlap::put_on(&mut spec, self.deadband, noise);
         Observation {
             spec,
             load_factor,

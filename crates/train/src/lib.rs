@@ -19,6 +19,7 @@ mod response_error;
 mod search;
 pub mod train;
 mod unknown_contact;
+mod unknown_overlap;
 mod unknown_seal;
 
 pub use causes::planted::{PlantedCause, plant_causes};

@@ -28,7 +28,7 @@ use crate::out_of_distribution;
 use crate::portions::Portions;
 use crate::report::NOISE_LEVELS;
 use crate::train::{TrainError, TrainingSettings};
-use crate::{response_error, unknown_contact, unknown_seal};
+use crate::{response_error, unknown_contact, unknown_overlap, unknown_seal};
 
 /// Cycles that a baseline is the mean of.
 pub const BASELINE_CYCLES: usize = 50;
@@ -96,11 +96,7 @@ impl Conditions {
             extra_deadband: 0.0,
             stream: 0,
         };
-        let (share, widest) = self.deadband;
-        if noise.uniform(0.0, 1.0) < share {
-            observation.extra_deadband = noise.uniform(0.0, widest);
-            observation.spec = series::with_more_deadband(&observation.spec, observation.extra_deadband);
-        }
+        observation.extra_deadband = unknown_overlap::put_on(&mut observation.spec, self.deadband, noise);
         if self.unknown_contact {
             unknown_contact::put_on(&mut observation.spec, noise);
         }

@@ -122,7 +122,7 @@ impl AdoptPage<'_> {
                         }
                     }
                     @for (name, key, value, unit) in [("proportional gain", "kp", c.kp, "1/m"), ("integral gain", "ki", c.ki, "1/(m s)"),
-                        ("differential gain", "kd", c.kd, "s/m"), ("velocity feed-forward", "velocity_feed_forward_s_per_m", c.velocity_feed_forward_s_per_m, "s/m"),
+                        ("derivative gain", "kd", c.kd, "s/m"), ("velocity feed-forward", "velocity_feed_forward_s_per_m", c.velocity_feed_forward_s_per_m, "s/m"),
                         ("jump over the dead band", "dead_band_compensation", c.dead_band_compensation, "of full command")] { tr {
                         td { "Controller: " (name) } td { (number(value)) " " (unit) } td {} td.soft { "controller." (key) }
                     } }

@@ -1,10 +1,11 @@
 //! Plant parameters as data sheets have them: bar, L/min, mm.
 
+use seepd_monitor::event::LPM_PER_M3_PER_S as LPM;
 use seepd_sim::effects;
 use seepd_sim::plant::ParameterInfo;
 
-/// Flow of 1 m³/s, L/min.
-const LPM: f64 = 6e4;
+use crate::quantity::{BAR_PER_PA, MM2_PER_M2};
+
 /// Pressure difference at which leakages and loops of valves are stated, Pa, and half of it, over one of a loop's two lands.
 const STATED_PA: f64 = 7e6;
 const OVER_A_LAND_PA: f64 = 3.5e6;
@@ -29,10 +30,10 @@ pub(super) fn value(info: &ParameterInfo, si: f64) -> (f64, &'static str) {
     match (info.key, info.unit) {
         ("valve_m3_per_s_sqrt_pa", _) => (LPM * si * OVER_A_LAND_PA.sqrt(), "L/min at 70 bar over the loop"),
         ("line_m3_per_s_sqrt_pa", _) => (LPM * si * OVER_A_LINE_PA.sqrt(), "L/min at 1 bar"),
-        ("relief_resistance_pa_s_per_m3", _) => (1e-5 / LPM * si, "bar per L/min"),
-        ("leak_area_m2", _) => (1e6 * si, "mm²"),
+        ("relief_resistance_pa_s_per_m3", _) => (BAR_PER_PA / LPM * si, "bar per L/min"),
+        ("leak_area_m2", _) => (MM2_PER_M2 * si, "mm²"),
         (_, "Pa s/m3") => (LPM * STATED_PA / si, "L/min at 70 bar"),
-        (_, "Pa") => (1e-5 * si, "bar"),
+        (_, "Pa") => (BAR_PER_PA * si, "bar"),
         (_, "m3/s") => (LPM * si, "L/min"),
         (_, "m3") => (1e3 * si, "L"),
         (_, "m2") => (1e4 * si, "cm²"),
