@@ -1,7 +1,7 @@
 //! Samples from a Linux CAN interface.
 //!
 //! The kernel filters the frames, stamps them and counts those that it had to drop. An interface that goes down, is
-//! deleted and comes back is taken up again by itself.
+//! deleted and comes back is taken up again by itself, and so is another one that has got its name.
 
 use std::fs;
 use std::io::{self, IoSliceMut};
@@ -23,7 +23,7 @@ use socketcan::{CanFdSocket, CanFilter, Socket, SocketOptions};
 use tokio::net::UnixDatagram;
 
 use super::source::Input;
-use crate::clock::{Clock, Stamps};
+use crate::clock::{self, Clock, Stamps};
 use crate::config::AxisConfig;
 use crate::failure::Failure;
 use crate::hub::{SourceHealth, SourceState};
@@ -50,6 +50,8 @@ pub struct CanSource {
     clock: Clock,
     health: SourceHealth,
     opened: u64,
+    /// When the port's interface was last seen under its name.
+    seen: tokio::time::Instant,
     /// Drops that sockets before this one had reported.
     dropped_before: u64,
 }
@@ -75,6 +77,7 @@ impl CanSource {
             health: SourceHealth { name: place.clone(), ..SourceHealth::default() },
             place,
             opened: 0,
+            seen: clock::instant(),
             dropped_before: 0,
         })
     }
@@ -94,6 +97,12 @@ impl CanSource {
                     tokio::time::sleep(RETRY).await;
                     return self.down(why);
                 }
+            }
+        }
+        if self.seen.elapsed() > IDLE {
+            self.seen = clock::instant();
+            if self.port.as_ref().is_some_and(|port| port.index != interface_index(&self.place)) {
+                return self.lose(&io::Error::other("another interface has its name now, or none"));
             }
         }
         let Some(port) = &mut self.port else { return Input::Idle };
@@ -210,8 +219,19 @@ fn opening(place: &str, error: &io::Error) -> String {
 
 /// Whether an interface is up (`IFF_UP` of its flags).
 fn is_up(place: &str) -> bool {
-    let flags = fs::read_to_string(format!("/sys/class/net/{place}/flags")).unwrap_or_default();
-    u32::from_str_radix(flags.trim().trim_start_matches("0x"), 16).is_ok_and(|flags| flags & 1 != 0)
+    let flags = interface_fact(place, "flags").unwrap_or_default();
+    u32::from_str_radix(flags.trim_start_matches("0x"), 16).is_ok_and(|flags| flags & 1 != 0)
+}
+
+/// The kernel's number of an interface, which a socket stays with whatever its name becomes; none where there is no such interface.
+fn interface_index(place: &str) -> Option<u32> {
+    interface_fact(place, "ifindex")?.parse().ok()
+}
+
+/// What the kernel tells of an interface.
+fn interface_fact(place: &str, fact: &str) -> Option<String> {
+    let text = fs::read_to_string(format!("/sys/class/net/{place}/{fact}")).ok()?;
+    Some(text.trim().to_owned())
 }
 
 /// A socket that gives frames.
@@ -221,6 +241,8 @@ pub(crate) struct FramePort {
     socket: net::UnixDatagram,
     /// Interface of the frames, for mappings that name one.
     interface: String,
+    /// The kernel's number of it; none for a socket of another kind.
+    index: Option<u32>,
     control: Vec<u8>,
     stamps: Stamps,
     /// Whether the last reading stopped before the end.
@@ -249,6 +271,7 @@ impl FramePort {
         filters: Option<&[CanFilter]>,
         receive_buffer_bytes: usize,
     ) -> io::Result<Self> {
+        let index = interface_index(place);
         let fd = match place.strip_prefix("unix:") {
             Some(path) => datagram_socket(path)?,
             None => {
@@ -268,6 +291,7 @@ impl FramePort {
         Ok(FramePort {
             socket: net::UnixDatagram::from(fd),
             interface: place.to_owned(),
+            index,
             control: cmsg_space!(TimeSpec, u32),
             stamps: Stamps::default(),
             more: false,
