@@ -7,6 +7,8 @@ mod bus;
 mod clocks;
 mod determinism;
 mod disks;
+mod interface;
+mod load;
 mod logs;
 mod model;
 mod patient;
