@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use seepd_logs::{CounterMapping, LogMapping, Selection, SignalMapping, TimeUnit, check_signals};
 use seepd_model::Model;
@@ -392,7 +392,7 @@ impl AxisConfig {
                 );
                 return Err(Failure::configuration(&duty_cycle.model, what));
             }
-            duty_cycles.push(DutyCycle { name: Some(duty_cycle.name.clone()), model: Arc::new(model) });
+            duty_cycles.push(DutyCycle { name: Some(duty_cycle.name.clone()), model });
         }
         Ok(duty_cycles)
     }
@@ -419,20 +419,28 @@ fn shell_word(text: &str) -> String {
     if text.chars().all(is_plain) { text.to_owned() } else { format!("'{}'", text.replace('\'', "'\\''")) }
 }
 
-/// The model that the program brings.
+/// The model that the program brings; axes that are read at the same time share it.
 ///
 /// # Errors
 /// [`Failure`] where it does not pass its checks, which a test rules out.
-pub fn embedded_model() -> Result<Model, Failure> {
-    Model::from_json(crate::EMBEDDED_MODEL)
-        .map_err(|error| Failure::new(Code::Internal, format!("the embedded model: {error}")))
+pub fn embedded_model() -> Result<Arc<Model>, Failure> {
+    static SHARED: Mutex<Weak<Model>> = Mutex::new(Weak::new());
+    let mut shared = SHARED.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(model) = shared.upgrade() {
+        return Ok(model);
+    }
+    let model = Model::from_json(crate::EMBEDDED_MODEL)
+        .map_err(|error| Failure::new(Code::Internal, format!("the embedded model: {error}")))?;
+    let model = Arc::new(model);
+    *shared = Arc::downgrade(&model);
+    Ok(model)
 }
 
 /// Reads and checks a model file.
 ///
 /// # Errors
 /// [`Failure`] where the file cannot be read or is no model.
-pub fn load_model(path: &Path) -> Result<Model, Failure> {
+pub fn load_model(path: &Path) -> Result<Arc<Model>, Failure> {
     let json = side_file::read(path).map_err(|error| Failure::reading(path, &error))?;
-    Model::from_json(&json).map_err(|error| Failure::configuration(path, error))
+    Model::from_json(&json).map(Arc::new).map_err(|error| Failure::configuration(path, error))
 }

@@ -138,7 +138,7 @@ mod tests {
     #[test]
     fn no_two_duty_cycles_share_a_file() {
         let folder = tempfile::tempdir().unwrap();
-        let model = Arc::new(embedded_model().unwrap());
+        let model = embedded_model().unwrap();
         let former = folder.path().join("baseline-press-1.json");
         fs::write(&former, BaselineFile::new("press-1", &model).to_json().unwrap()).unwrap();
         let open = |axis: &str, name: Option<&str>| {

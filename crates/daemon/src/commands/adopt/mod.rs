@@ -276,7 +276,7 @@ fn model(
     described: Option<&Described>,
 ) -> Result<(Arc<Model>, Option<Trained>), Failure> {
     if arguments.from == Step::Baseline {
-        return Ok((Arc::new(load_model(&folder.path("model.json"))?), None));
+        return Ok((load_model(&folder.path("model.json"))?, None));
     }
     let spec = match described {
         Some(described) => described.adoption.spec.clone(),
@@ -290,7 +290,7 @@ fn model(
         with_progress(&spec, &settings, Portions::default()).map_err(|error| training_failure(&error))?;
     folder.write("model.json", &trained.json)?;
     let model = load_model(&folder.path("model.json"))?;
-    Ok((Arc::new(model), Some(trained)))
+    Ok((model, Some(trained)))
 }
 
 fn training_failure(error: &TrainError) -> Failure {
