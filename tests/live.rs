@@ -4,6 +4,8 @@
 //! CAN and systemd are tested in virtual machines (tests/vm).
 
 use std::fs;
+use std::io::Write;
+use std::net::{TcpStream, UdpSocket};
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,8 +13,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::daemon::{
-    Daemon, Machine, Mosquitto, ask, axis_status, can_frame, command_frame, cycle, free_port, has, json,
-    machine_toml, until,
+    Daemon, Machine, Mosquitto, ask, axis_status, axis_toml, can_frame, command_frame, cycle, free_port, has,
+    json, machine_toml, until,
 };
 use crate::faults::random;
 use crate::support::{seepd, simulate, stderr, stdout};
@@ -951,6 +953,48 @@ fn two_hundred_kills_at_random_moments_leave_state_recording_and_spool_whole() {
     }
 }
 
+/// A daemon of others for numbers that come often, as a yardstick: it takes a thousand of them a second by StatsD and hands its own on to a
+/// broker, to scrapers and to files. Debian has it in collectd-core, which libmosquitto1 and libmicrohttpd12 complete.
+fn collectd(folder: &Path, broker: u16) -> Option<(Daemon, UdpSocket)> {
+    if !has("collectd") {
+        return None;
+    }
+    let statsd = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let (takes, tells) = (free_port(), free_port());
+    statsd.connect(("127.0.0.1", takes)).unwrap();
+    let text = format!(
+        "Hostname \"gateway\"\nBaseDir \"{0}\"\nPIDFile \"{0}/collectd.pid\"\nInterval 10\n\
+         LoadPlugin statsd\n<Plugin statsd>\nHost \"127.0.0.1\"\nPort \"{takes}\"\n</Plugin>\n\
+         LoadPlugin csv\n<Plugin csv>\nDataDir \"{0}/csv\"\n</Plugin>\n\
+         LoadPlugin write_prometheus\n<Plugin write_prometheus>\nPort \"{tells}\"\n</Plugin>\n\
+         LoadPlugin mqtt\n<Plugin mqtt>\n<Publish \"broker\">\nHost \"localhost\"\nPort \"{broker}\"\nUser \"press\"\n\
+         Password \"a secret\"\nCACert \"{0}/ca.pem\"\n</Publish>\n</Plugin>\n",
+        folder.display()
+    );
+    let config = folder.join("collectd.conf");
+    fs::write(&config, text).unwrap();
+    let log = folder.join("collectd.log");
+    let child = Command::new("collectd")
+        .arg("-f")
+        .arg("-C")
+        .arg(&config)
+        .stderr(fs::File::create(&log).unwrap())
+        .spawn()
+        .unwrap();
+    Some((Daemon { child, log }, statsd))
+}
+
+/// What a daemon takes: of the time of a processor's core since a moment, and of memory.
+fn takes(daemon: &Daemon, (begin, cpu_before_s): (Instant, f64)) -> String {
+    format!(
+        "{:.2} % of a core, resident {} kB ({} kB of them its own, largest {} kB)",
+        100.0 * (daemon.cpu_s() - cpu_before_s) / begin.elapsed().as_secs_f64(),
+        daemon.memory_kb("VmRSS"),
+        daemon.memory_kb("RssAnon"),
+        daemon.memory_kb("VmHWM"),
+    )
+}
+
 /// Long: `SEEPD_BIN=target/dist/seepd cargo test -p seepd --test gateway live::load -- --ignored --nocapture`.
 #[test]
 #[ignore = "two minutes, and meant for an idle machine"]
@@ -968,8 +1012,19 @@ fn load_of_a_thousand_frames_a_second_with_all_sinks() {
     let daemon = Daemon::start(folder.path(), &config);
     let machine = Machine::start(&socket, cycle("nominal_leak_1e-6.csv"));
     let seconds = 90;
+    let yardstick = collectd(folder.path(), mosquitto.port);
+    if let Some((_, statsd)) = &yardstick {
+        let statsd = statsd.try_clone().unwrap();
+        thread::spawn(move || {
+            for number in 0..1000 * (seconds + 10) {
+                let _ = statsd.send(format!("command:{}|g", number % 1000).as_bytes());
+                thread::sleep(Duration::from_millis(1));
+            }
+        });
+    }
     thread::sleep(Duration::from_secs(5));
     let (begin, cpu_before) = (Instant::now(), daemon.cpu_s());
+    let yardstick_before = yardstick.as_ref().map(|(other, _)| (Instant::now(), other.cpu_s()));
     let mut largest_delay_s: f64 = 0.0;
     for _ in 0..seconds / 5 {
         thread::sleep(Duration::from_secs(5));
@@ -981,14 +1036,14 @@ fn load_of_a_thousand_frames_a_second_with_all_sinks() {
     let share = (daemon.cpu_s() - cpu_before) / begin.elapsed().as_secs_f64();
     let status = axis_status(port).unwrap();
     println!(
-        "{:.2} % of a core, publication after {largest_delay_s} s at most, resident {} kB (anonymous {} kB, largest {} kB), {} samples, {} cycles",
-        100.0 * share,
-        daemon.memory_kb("VmRSS"),
-        daemon.memory_kb("RssAnon"),
-        daemon.memory_kb("VmHWM"),
+        "{}, publication after {largest_delay_s} s at most, {} samples, {} cycles",
+        takes(&daemon, (begin, cpu_before)),
         status["source"]["samples"],
         status["cycles"]
     );
+    if let (Some((other, _)), Some(before)) = (&yardstick, yardstick_before) {
+        println!("collectd: {}", takes(other, before));
+    }
     assert!(
         json(port, "/api/v1/status")["sinks"].as_array().unwrap().iter().all(|sink| sink["good"] == true)
     );
@@ -997,6 +1052,77 @@ fn load_of_a_thousand_frames_a_second_with_all_sinks() {
     assert!(largest_delay_s < 0.05);
     assert!(daemon.memory_kb("VmRSS") < 24 << 10);
     machine.stop();
+}
+
+/// Slope of points by least squares, and its standard error.
+fn slope(points: &[(f64, f64)]) -> (f64, f64) {
+    let count = points.len() as f64;
+    let mean = |of: &dyn Fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;
+    let (x_mean, y_mean) = (mean(&|point| point.0), mean(&|point| point.1));
+    let spread: f64 = points.iter().map(|(x, _)| (x - x_mean).powi(2)).sum();
+    let slope = points.iter().map(|(x, y)| (x - x_mean) * (y - y_mean)).sum::<f64>() / spread;
+    let rest: f64 = points.iter().map(|(x, y)| (y - y_mean - slope * (x - x_mean)).powi(2)).sum();
+    (slope, (rest / (count - 2.0) / spread).sqrt())
+}
+
+/// Long: `SEEPD_BIN=target/dist/seepd cargo test -p seepd --test gateway live::an_hour -- --ignored --nocapture`.
+#[test]
+#[ignore = "an hour"]
+fn an_hour_of_nine_machines_with_clients_that_come_and_go_keeps_memory_flat() {
+    let seconds = std::env::var("SEEPD_SECONDS").map_or(3600, |text| text.parse().unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let socket = |axis: usize| folder.path().join(format!("{axis}.sock"));
+    let mut config = format!(
+        "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n[recording]\nfile_mb = 8.0\ntotal_mb = 200.0\n"
+    );
+    (0..9).for_each(|axis| config += &axis_toml(&axis.to_string(), &socket(axis)));
+    let daemon = Daemon::start_with(folder.path(), &config, &[("MALLOC_ARENA_MAX", "1")]);
+    let machines: Vec<_> =
+        (0..9).map(|axis| Machine::start(&socket(axis), cycle("nominal_leak_1e-6.csv"))).collect();
+
+    let (begin, mut seed) = (Instant::now(), 9);
+    let (mut clients, mut memory) = (Vec::new(), Vec::new());
+    let (mut asked, mut streams) = (0, 0);
+    while begin.elapsed() < Duration::from_secs(seconds) {
+        // Those who look once, those who stay for a while, and those who stay and read nothing.
+        match random(&mut seed) % 4 {
+            0 => {
+                asked += usize::from(ask(port, "GET", "/metrics", "").is_some());
+            }
+            1 => asked += usize::from(ask(port, "GET", "/api/v1/axes/3/trend", "").is_some()),
+            2 if clients.len() < 20 => {
+                if let Ok(mut client) = TcpStream::connect(("127.0.0.1", port)) {
+                    let request = format!("GET /api/v1/events HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n");
+                    let _ = client.write_all(request.as_bytes());
+                    clients.push(client);
+                    streams += 1;
+                }
+            }
+            _ if !clients.is_empty() => {
+                let leaves = random(&mut seed) as usize % clients.len();
+                clients.swap_remove(leaves);
+            }
+            _ => {}
+        }
+        memory.push((begin.elapsed().as_secs_f64() / 3600.0, daemon.memory_kb("VmRSS") as f64));
+        thread::sleep(Duration::from_millis(200));
+    }
+    let sent: u64 = machines.into_iter().map(Machine::stop).sum();
+    // What is kept by cycle fills in the first third: the trend, the spool, the clients' buffers.
+    let later: Vec<(f64, f64)> = memory[memory.len() / 3..].iter().step_by(50).copied().collect();
+    let (slope_kb_per_h, error) = slope(&later);
+    let largest_kb = memory.iter().map(|(_, kb)| *kb).fold(0.0, f64::max);
+    println!(
+        "{sent} samples sent, {asked} pages, {streams} streams; {} kB at last, {largest_kb} kB at most; {slope_kb_per_h:.0} ± {error:.0} kB an hour",
+        daemon.memory_kb("VmRSS")
+    );
+    let used: u64 = (0..9)
+        .map(|axis| json(port, &format!("/api/v1/axes/{axis}"))["source"]["samples"].as_u64().unwrap())
+        .sum();
+    assert!(used >= sent - sent / 1000, "{used} of {sent}");
+    assert!(slope_kb_per_h < 300.0, "{slope_kb_per_h} ± {error} kB an hour: {later:?}");
+    assert!(largest_kb < 16.0 * 1024.0, "{largest_kb} kB");
 }
 
 /// Long: `SEEPD_BIN=target/dist/seepd cargo test -p seepd --test gateway live::a_day -- --ignored --nocapture`.
@@ -1016,7 +1142,6 @@ fn a_day_at_speed_keeps_memory_flat() {
     let writer = thread::spawn({
         let pipe = pipe.clone();
         move || {
-            use std::io::Write;
             let mut out = std::io::BufWriter::with_capacity(1 << 16, fs::File::create(pipe).unwrap());
             let rows: Vec<String> =
                 cycle("nominal_leak_1e-6.csv").iter().map(|command| format!(",{command}\n")).collect();
