@@ -16,8 +16,10 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
 use serde_json::Value;
 
+use super::clocks::{Steps, stepped_clock};
 use super::sequences;
 use crate::daemon::{Daemon, Mosquitto, ask, free_port, has, log_axis_toml, sink, until};
+use crate::live::secure_broker;
 use crate::support::simulate;
 
 /// Sequences at a time: daemons that mostly wait for their next try.
@@ -344,4 +346,53 @@ fn every_event_arrives_in_order_whatever_becomes_of_connections() {
         repeats += repeated;
     }
     println!("{} sequences, {} events each, {repeats} repeats", drawn.len(), expected.len());
+}
+
+/// The broker's certificate has run out when a log is read, by the daemon's clock, and is good again later: what comes meanwhile waits.
+#[test]
+fn events_wait_for_a_broker_whose_certificate_has_expired() {
+    if !["mosquitto", "mosquitto_sub", "mosquitto_passwd", "openssl"].into_iter().all(has) {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let Some(library) = stepped_clock(folder.path()) else { return };
+    let (clock, log) = (folder.path().join("clock"), folder.path().join("worn.mcap"));
+    let mut steps = Steps::begin(&clock);
+    simulate(&log, &["--cycles", "20", "--leak-area", "5e-8", "--leak-growth", "8e-7"]);
+    let secure = secure_broker(folder.path());
+    let credentials = ["--cafile", "ca.pem", "-u", "press", "-P", "a secret"];
+    let ca = folder.path().join("ca.pem").display().to_string();
+    let credentials = credentials.map(|word| if word == "ca.pem" { ca.as_str() } else { word });
+    let (port, http_port) = (free_port(), free_port());
+    let config = config(folder.path(), &log, "seepd/late", "5", port, http_port).replace(
+        "host = \"127.0.0.1\"\nport",
+        "host = \"localhost\"\ntls = true\nca_file = \"ca.pem\"\nusername = \"press\"\npassword_file = \"mqtt-password\"\nport",
+    );
+
+    // Certificates of the broker are good for two days.
+    steps.set_ahead(Duration::from_secs(3 * 86_400));
+    let broker = Mosquitto::start(folder.path(), port, &secure);
+    let file = folder.path().join("heard.txt");
+    let listener = broker.listen(&file, &credentials);
+    let environment =
+        [("LD_PRELOAD", library.to_str().unwrap()), ("SEEPD_TEST_CLOCK", clock.to_str().unwrap())];
+    let daemon = Daemon::start_with(folder.path(), &config, &environment);
+    until("the certificate's end told", LONG, || {
+        crate::daemon::axis_status(http_port).is_some()
+            && sink(http_port, "mqtt")["detail"].as_str().is_some_and(|detail| detail.contains("expired"))
+    });
+    until("the log's end", LONG, || sink(http_port, "mqtt")["waiting"].as_u64() > Some(20));
+    assert_eq!(listener.messages("seepd/late/press-1/cycle"), Vec::<String>::new());
+    // Somebody renews it.
+    steps.set_ahead(Duration::ZERO);
+    deliver(http_port);
+    thread::sleep(Duration::from_millis(300));
+    let (events, _) = heard(&file, "seepd/late");
+    let cycles: Vec<u64> = listener
+        .messages("seepd/late/press-1/cycle")
+        .iter()
+        .map(|text| serde_json::from_str::<Value>(text).unwrap()["cycle"].as_u64().unwrap())
+        .collect();
+    assert!(events.len() > 20, "{events:?}");
+    assert!(cycles.is_sorted() && cycles.len() > 15, "{cycles:?}\n{}", daemon.words());
 }

@@ -38,7 +38,7 @@ const PLACES_S: [i64; 9] = [
 const STEPS_S: [i64; 8] = [1_577_836_800, -1_577_836_800, 1, -1, 3600, -3600, 315_532_800, -315_532_800];
 
 /// The library that steps clocks; `None` where none can be made.
-fn stepped_clock(folder: &Path) -> Option<PathBuf> {
+pub(super) fn stepped_clock(folder: &Path) -> Option<PathBuf> {
     if !has("cc") {
         return None;
     }
@@ -50,14 +50,14 @@ fn stepped_clock(folder: &Path) -> Option<PathBuf> {
 }
 
 /// What is added to a daemon's clocks.
-struct Steps {
+pub(super) struct Steps {
     file: File,
     wall_ns: i64,
     monotonic_ns: i64,
 }
 
 impl Steps {
-    fn begin(path: &Path) -> Self {
+    pub(super) fn begin(path: &Path) -> Self {
         fs::write(path, [0; 16]).unwrap();
         let file = fs::OpenOptions::new().write(true).open(path).unwrap();
         Steps { file, wall_ns: 0, monotonic_ns: 0 }
@@ -66,6 +66,12 @@ impl Steps {
     fn tell(&self) {
         self.file.write_all_at(&self.wall_ns.to_ne_bytes(), 0).unwrap();
         self.file.write_all_at(&self.monotonic_ns.to_ne_bytes(), 8).unwrap();
+    }
+
+    /// Sets the wall clock ahead of the system's.
+    pub(super) fn set_ahead(&mut self, by: Duration) {
+        self.wall_ns = by.as_nanos() as i64;
+        self.tell();
     }
 
     fn step_wall(&mut self, seed: &mut u64) {

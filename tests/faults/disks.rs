@@ -64,7 +64,7 @@ fn faults() -> impl Strategy<Value = Vec<Fault>> {
     let process = prop_oneof![
         3 => Just(Process::Good),
         1 => (0..9000_u32).prop_map(Process::ShortFiles),
-        1 => (20..600_u32).prop_map(Process::SlowDisk),
+        1 => prop_oneof![20..600_u32, Just(10_000)].prop_map(Process::SlowDisk),
     ];
     let fault = (prop::array::uniform3(disk), process, any::<bool>(), 1..4_u64);
     let fault =
