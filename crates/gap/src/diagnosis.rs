@@ -20,7 +20,7 @@ use crate::report::{
     CalibratedValue, ChangeWithin, Curves, CycleCounts, Diagnosis, Gaps, Leaks, LearnedCurve, Place,
     RankedEffect, Shrink, Verdict,
 };
-use crate::screen::{CalibrationProjector, Candidate, screen};
+use crate::screen::{CalibrationProjector, Candidate, screen, with};
 use crate::search::{Explanation, SearchResult, search};
 use crate::shrink::{HeldOut, attributed};
 use crate::simulate::{BinnedSignals, Drive, binned_signals, bins_of};
@@ -62,6 +62,8 @@ const BEYOND_ITS_CLASS: f64 = 2.0;
 const BORNE_OUT: f64 = 0.9;
 /// Probability from which a learned law is given to the machine: below it, it imitates something else.
 const LIKELY_AT_ALL: f64 = 0.1;
+/// Probability from which a machine is given what the log itself shows.
+const WORTH_A_COMPANION: f64 = 0.05;
 /// Signature, in expected errors, below which an effect cannot be seen.
 const VISIBLE: f64 = 2.0;
 
@@ -308,7 +310,27 @@ impl<A: SimulatedAxis> RankedExplanations<A> {
             projector,
         };
         ranked.prefer_the_common();
+        ranked.read_in_steps(problem);
         ranked
+    }
+
+    /// A position that is read in steps shows that in the log itself, even where the hunting that it brings repeats so little from cycle to
+    /// cycle that no simulation takes anything of the gap: the machines have it beside what they have, where it would be seen.
+    fn read_in_steps(&mut self, problem: &Problem<'_>) {
+        let Some(step_m) = problem.record.position_step_m else { return };
+        let is_a_step =
+            |candidate: &&Candidate| candidate.effect.parameters.iter().any(|p| p.name == "step_m");
+        let Some(step) = self.candidates.iter().find(is_a_step).filter(|step| step.visible > VISIBLE) else {
+            return;
+        };
+        let lacks_it =
+            |one: &&mut (Explanation<A>, f64)| one.1 >= WORTH_A_COMPANION && !one.0.has(step.effect.key);
+        for (explanation, _) in self.explanations.iter_mut().filter(lacks_it) {
+            let machine = with(&explanation.fit.spec, step.effect, &[step_m]);
+            let free = of_effect(step.effect, &machine);
+            explanation.fit = explanation.fit.extended(problem, &machine, free);
+            explanation.effects.push(step.effect);
+        }
     }
 
     /// Each effect's probability, most likely first: a machine with several shares its own among them, half as much to each later found.

@@ -13,6 +13,7 @@ pub mod posterior;
 pub mod prediction;
 mod press;
 mod proposals;
+mod quantisation;
 mod rank;
 pub mod record;
 pub mod report;

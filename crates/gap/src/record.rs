@@ -5,6 +5,7 @@ use seepd_sim::SensorError;
 use seepd_sim::cycle::DriveSample;
 
 use crate::diagnosable::Diagnosable;
+use crate::quantisation::position_step_m;
 use crate::simulate::{Drive, bins_of, cycles_to_forget};
 use crate::simulated_axis::SimulatedAxis;
 
@@ -236,8 +237,12 @@ pub struct Record {
     pub(crate) is_open_loop: bool,
     /// A test beside the duty cycle: its mean cycle, and how many that is of.
     pub(crate) test: Option<(RecordedCycle, usize)>,
+    /// The step in which the position is read, m, where the log shows one that could disturb a controller.
+    pub(crate) position_step_m: Option<f64>,
 }
 
+/// Steps of a position that are looked for, m: finer ones disturb no controller.
+const STEPS_M: (f64, f64) = (5e-5, 5e-4);
 /// Fewest values of a signal in a cycle: fewer do not tell its strokes.
 pub(crate) const FEWEST_SAMPLES: usize = 200;
 /// Share of samples that may be missing in a cycle, bridged from their neighbours.
@@ -259,6 +264,7 @@ impl Record {
         check(log, spec)?;
         let mut notes = Vec::new();
         let ticks = (spec.duty_cycle().period_s / spec.tick_s()).round() as usize;
+        let position_step_m = log.get(Signal::Position).and_then(|x| position_step_m(x, STEPS_M));
         let (log, slowest) = log.at_every_tick(ticks / FEWEST_SAMPLES);
         let log = &log;
         if slowest > 1 {
@@ -341,7 +347,10 @@ impl Record {
         plausible(&signals, &cycles, spec)?;
         let cycles_before = cycles_to_forget(spec, &cycles[0].drive, &signals, &range);
         cycles.iter_mut().for_each(|cycle| cycle.drive.cycles_before = cycles_before);
-        Ok(Record { signals, cycles, range, floor, notes, is_open_loop: false, test: None })
+        if let Some(step_m) = position_step_m {
+            notes.push(format!("the position is read in steps of {:.4} mm", 1000.0 * step_m));
+        }
+        Ok(Record { signals, cycles, range, floor, notes, is_open_loop: false, test: None, position_step_m })
     }
 
     /// The record with a test of the same machine, which is fitted to as well: another duty cycle, cut from a log of its own.
@@ -377,6 +386,7 @@ impl Record {
             notes: self.notes.clone(),
             is_open_loop: self.is_open_loop,
             test: self.test.clone(),
+            position_step_m: self.position_step_m,
         }
     }
 

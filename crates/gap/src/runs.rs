@@ -129,7 +129,16 @@ impl Record {
         }
         let range = ranges(&cycles, signals.len());
         let floor = floors(&cycles, &range);
-        Ok(Record { signals, cycles, range, floor, notes, is_open_loop: true, test: None })
+        Ok(Record {
+            signals,
+            cycles,
+            range,
+            floor,
+            notes,
+            is_open_loop: true,
+            test: None,
+            position_step_m: None,
+        })
     }
 }
 

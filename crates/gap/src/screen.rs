@@ -98,6 +98,9 @@ fn levels<A: SimulatedAxis>(
             // Put in below, where they go together.
             "start_s" | "duration_s" => vec![parameter.neutral],
             "pitch_m" => pitches(problem, calibrated, (low, high)),
+            "step_m" if problem.record.position_step_m.is_some() => {
+                problem.record.position_step_m.into_iter().collect()
+            }
             _ if is_event || is_wave => ONE_SIZE.iter().map(of_share).collect(),
             _ if spans_decades(low, high) => {
                 DECADES.iter().map(|share| low * (high / low).powf(*share)).collect()
