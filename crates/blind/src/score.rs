@@ -82,6 +82,9 @@ pub struct Scores {
     pub invisible_not_called: f64,
     /// Share of the pairs with a visible gap of which both are chosen, and at least one.
     pub pairs: [f64; 2],
+    /// Pairs of which both effects show: both were chosen, or what was chosen leaves a visible gap. How many, and the share of which both
+    /// are chosen.
+    pub pairs_both_visible: (usize, f64),
     /// Effect or "unknown" called on exact machines, and on ones with other parameters.
     pub false_alarms: [f64; 2],
     /// Area under the receiver operating curve of the unknown's probability, outside causes against single ones.
@@ -118,6 +121,9 @@ pub fn score(answers: &[Answered]) -> Scores {
     let visible: Vec<&Answered> = singles.iter().copied().filter(|a| a.answer.visible()).collect();
     let invisible: Vec<&Answered> = singles.iter().copied().filter(|a| !a.answer.visible()).collect();
     let pairs: Vec<&Answered> = of(Set::Pair).filter(|a| a.answer.visible()).collect();
+    let both = |a: &Answered| a.truth.effects.keys().all(|key| a.chosen(key));
+    let both_visible: Vec<&Answered> =
+        pairs.iter().copied().filter(|a| both(a) || a.answer.leaves_something()).collect();
     let alarms = |set: Set| share(&of(set).collect::<Vec<_>>(), |a| a.answer.called());
     let outside: Vec<f64> = answers
         .iter()
@@ -146,10 +152,8 @@ pub fn score(answers: &[Answered]) -> Scores {
         top_2: share(&visible, |a| a.ranked(2)),
         named: share(&visible, |a| a.named()),
         invisible_not_called: share(&invisible, |a| !a.answer.called()),
-        pairs: [
-            share(&pairs, |a| a.truth.effects.keys().all(|key| a.chosen(key))),
-            share(&pairs, |a| a.truth.effects.keys().any(|key| a.chosen(key))),
-        ],
+        pairs: [share(&pairs, both), share(&pairs, |a| a.truth.effects.keys().any(|key| a.chosen(key)))],
+        pairs_both_visible: (both_visible.len(), share(&both_visible, both)),
         false_alarms: [alarms(Set::Nominal), alarms(Set::Parameters)],
         auroc_unknown: auroc(&outside, &inside),
         calibration_error: calibration(answers),
@@ -232,11 +236,17 @@ fn calibration(answers: &[Answered]) -> [f64; 3] {
 impl Answer {
     /// Whether something is left above the floor after calibration.
     fn visible(&self) -> bool {
-        self.gap
-            .calibrated
-            .iter()
-            .any(|(signal, gap)| *gap > FLOORS * self.floor.get(signal).copied().unwrap_or(0.0))
-            || self.gap.calibrated.is_empty()
+        self.is_above_floors(&self.gap.calibrated) || self.gap.calibrated.is_empty()
+    }
+
+    /// Whether the machine as chosen leaves a visible gap.
+    fn leaves_something(&self) -> bool {
+        self.is_above_floors(&self.gap.chosen)
+    }
+
+    fn is_above_floors(&self, gaps: &BTreeMap<String, f64>) -> bool {
+        let floor = |signal: &String| self.floor.get(signal).copied().unwrap_or(0.0);
+        gaps.iter().any(|(signal, gap)| *gap > FLOORS * floor(signal))
     }
 
     /// Whether something beyond parameters was called.

@@ -359,7 +359,7 @@ fn measured(
 
 fn table(scores: &BTreeMap<&str, Scores>, wrong: bool) -> String {
     type Cell = fn(&Scores) -> String;
-    let rows: [(&str, Cell); 17] = [
+    let rows: [(&str, Cell); 18] = [
         ("cases", |s| s.cases.to_string()),
         ("single effects visible after calibration", |s| format!("{} of {}", s.visible[0], s.visible[1])),
         ("top-1, visible, within classes", |s| format!("{:.2}", s.top_1)),
@@ -368,6 +368,10 @@ fn table(scores: &BTreeMap<&str, Scores>, wrong: bool) -> String {
         ("named by the verdict, visible", |s| format!("{:.2}", s.named)),
         ("invisible ones not called", |s| format!("{:.2}", s.invisible_not_called)),
         ("pairs: both chosen, one of them", |s| format!("{:.2}, {:.2}", s.pairs[0], s.pairs[1])),
+        ("pairs of which both are visible, both chosen", |s| {
+            let (pairs, both) = s.pairs_both_visible;
+            format!("{pairs}, {both:.2}")
+        }),
         ("false alarms on exact machines", |s| format!("{:.2}", s.false_alarms[0])),
         ("false alarms on other parameters", |s| format!("{:.2}", s.false_alarms[1])),
         ("AUROC unknown against known", |s| format!("{:.2}", s.auroc_unknown)),
