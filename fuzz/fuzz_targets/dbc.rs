@@ -1,4 +1,5 @@
 //! A DBC file: every signal that it names, looked up and read from a frame.
+//! Parser: crates/logs/src/can/dbc.rs crates/logs/src/can/bit_field.rs
 #![no_main]
 use seepd_logs::can::candump::Line;
 use seepd_logs::can::dbc::Dbc;

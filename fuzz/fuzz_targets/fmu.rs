@@ -1,4 +1,5 @@
 //! An FMU's archive and its description: junk is refused, and what is accepted has a plant file that reads once it is completed.
+//! Parser: crates/fmi/src/archive.rs crates/fmi/src/description.rs crates/simulator/src/proposal.rs
 #![no_main]
 use std::io::Cursor;
 

@@ -1,4 +1,5 @@
 //! A model file: an error, or a model that evaluates.
+//! Parser: crates/model/src/check.rs crates/model/src/schema.rs crates/model/src/error.rs crates/model/src/model.rs:from_json,from_file,check_golden,agree crates/model/src/ensemble.rs:new,from_checked crates/model/src/relative.rs:from_file,from_checked,check_golden crates/model/src/causes/mod.rs:from_file,from_checked,check_golden,priors,check_causes
 #![no_main]
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     if let Ok(model) = seepd_model::Model::from_json(data) {

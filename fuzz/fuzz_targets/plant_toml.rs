@@ -1,4 +1,5 @@
 //! A plant file: what is accepted can be written and read back the same.
+//! Parser: crates/sim/src/spec.rs crates/sim/src/electric.rs:from_toml,check crates/settings/src/lib.rs
 #![no_main]
 use seepd_sim::MachineSpec;
 

@@ -1,4 +1,5 @@
 //! A file of a user's simulator: what is accepted can be written and read back the same.
+//! Parser: crates/simulator/src/spec.rs
 #![no_main]
 use seepd_simulator::SimulatorSpec;
 

@@ -14,6 +14,8 @@ pub mod config;
 mod durable;
 pub mod evaluation;
 pub mod failure;
+#[cfg(all(fuzzing, feature = "live"))]
+mod fuzzing;
 pub mod html;
 #[cfg(feature = "live")]
 pub mod hub;

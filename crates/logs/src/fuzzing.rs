@@ -1,5 +1,7 @@
 //! What a fuzz target reaches beside the public interface; no part of it.
 
+use std::io::Cursor;
+
 use crate::decode::Decoder;
 use crate::fields::{FieldVisitor, Step, ValueError};
 use crate::mapping::{LogMapping, Selection};
@@ -38,15 +40,20 @@ impl FieldVisitor for Walk {
     }
 }
 
-/// Reads a log of any kind by its bytes, with a command of that name.
+/// Reads a log of any kind by its bytes, as they come through a pipe, with a command of that name.
 pub fn read_log(log: &[u8], command: &str) {
-    let Ok(opened) = Opened::of(
-        Bytes::Stream(Box::new(log)),
-        "log",
-        Origin { path: None, length: Some(log.len() as u64), is_far: false },
-    ) else {
-        return;
-    };
+    let origin = Origin { path: None, length: Some(log.len() as u64), is_far: false };
+    read(Bytes::Stream(Box::new(log)), origin, command);
+}
+
+/// The same of a file; of one that is far away, what is not needed is not read.
+pub fn read_file(log: &[u8], is_far: bool, command: &str) {
+    let origin = Origin { path: None, length: Some(log.len() as u64), is_far };
+    read(Bytes::File(Box::new(Cursor::new(log))), origin, command);
+}
+
+fn read(log: Bytes<'_>, origin: Origin<'_>, command: &str) {
+    let Ok(opened) = Opened::of(log, "log", origin) else { return };
     let selection = Selection { command: Some(command.into()), ..Selection::default() };
     let mapping = LogMapping { selection, ..LogMapping::default() };
     if let Ok(mut source) = of_opened(opened, "log", &mapping) {

@@ -248,7 +248,11 @@ struct TrendFile {
 
 /// Reads the trends that an earlier run left; none where there are none that can be read.
 pub fn read_trends(folder: &Path) -> Trends {
-    take_up(&folder.join(TREND_NAME), "trends", |bytes| match serde_json::from_slice::<TrendFile>(bytes) {
+    take_up(&folder.join(TREND_NAME), "trends", parse_trends)
+}
+
+fn parse_trends(bytes: &[u8]) -> Result<Trends, String> {
+    match serde_json::from_slice::<TrendFile>(bytes) {
         Ok(file) if file.schema == TREND_SCHEMA => {
             let TrendFile { axes, mut healthy, .. } = file;
             let drawn = |(name, trend): (String, _)| {
@@ -258,7 +262,7 @@ pub fn read_trends(folder: &Path) -> Trends {
             Ok(axes.into_iter().map(drawn).collect())
         }
         _ => Err("this is not a file of trends".into()),
-    })
+    }
 }
 
 /// What a file holds; nothing where there is none. One that cannot be used is told of and set aside, so that the next finds its place
@@ -330,14 +334,22 @@ struct EventsFile<E> {
 
 /// Reads the last events of earlier runs, oldest first, each as it was sent: JSON. None where there are none that can be read.
 pub fn read_events(folder: &Path) -> Vec<String> {
-    take_up(&folder.join(EVENTS_NAME), "events", |bytes| {
-        match serde_json::from_slice::<EventsFile<Box<RawValue>>>(bytes) {
-            Ok(file) if file.schema == EVENTS_SCHEMA => {
-                Ok(file.events.into_iter().map(|event| String::from(Box::<str>::from(event))).collect())
-            }
-            _ => Err("this is not a file of events".into()),
+    take_up(&folder.join(EVENTS_NAME), "events", parse_events)
+}
+
+fn parse_events(bytes: &[u8]) -> Result<Vec<String>, String> {
+    match serde_json::from_slice::<EventsFile<Box<RawValue>>>(bytes) {
+        Ok(file) if file.schema == EVENTS_SCHEMA => {
+            Ok(file.events.into_iter().map(|event| String::from(Box::<str>::from(event))).collect())
         }
-    })
+        _ => Err("this is not a file of events".into()),
+    }
+}
+
+/// Reads what may be a file of trends or of events.
+#[cfg(fuzzing)]
+pub fn parse_drawn(bytes: &[u8]) {
+    let _ = (parse_trends(bytes), parse_events(bytes));
 }
 
 /// Writes the last events, each JSON.

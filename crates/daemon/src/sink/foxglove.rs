@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use nix::sys::socket::{setsockopt, sockopt::SndBuf};
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -136,6 +137,16 @@ impl Server {
 async fn attend(stream: TcpStream, token: Option<String>, hub: Arc<Hub>, stop: watch::Receiver<bool>) -> End {
     // The kernel would keep megabytes for one that takes nothing.
     let _ = setsockopt(&stream, SndBuf, &KERNEL_BUFFER);
+    converse(stream, token, hub, stop).await
+}
+
+/// Serves a client over anything that goes both ways.
+async fn converse<S: AsyncRead + AsyncWrite + Unpin>(
+    stream: S,
+    token: Option<String>,
+    hub: Arc<Hub>,
+    stop: watch::Receiver<bool>,
+) -> End {
     let config = WebSocketConfig::default()
         .max_message_size(Some(BUFFERS.0))
         .max_frame_size(Some(BUFFERS.0))
@@ -164,6 +175,13 @@ async fn attend(stream: TcpStream, token: Option<String>, hub: Arc<Hub>, stop: w
         (Err(_), None) => return End::Refused("it did not say what it wants".into()),
     };
     Client::new(socket, hub, PATIENCE).run(stop).await
+}
+
+/// Serves a client that says these bytes and no more.
+#[cfg(fuzzing)]
+pub async fn hear(bytes: &[u8], token: Option<String>, hub: Arc<Hub>, stop: watch::Receiver<bool>) {
+    let end = converse(crate::fuzzing::Said::new(bytes), token, Arc::clone(&hub), stop).await;
+    tracing::debug!("{end:?}");
 }
 
 /// The protocol that is spoken with a client, or why none is.

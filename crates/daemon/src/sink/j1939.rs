@@ -252,6 +252,12 @@ fn is_full(error: &io::Error) -> bool {
         || error.kind() == io::ErrorKind::WouldBlock
 }
 
+/// Reads a frame of the bus as it comes from a socket; whether it concerns the address.
+#[cfg(fuzzing)]
+pub fn concerns(bytes: &[u8], address: u8) -> bool {
+    linux::parse(bytes).ok().and_then(|frame| heard(&frame, address)).is_some()
+}
+
 /// What is said next that concerns the address; never, where there is no port.
 async fn next(port: &Option<net::UnixDatagram>, address: u8) -> io::Result<Said> {
     let Some(port) = port else { return std::future::pending().await };

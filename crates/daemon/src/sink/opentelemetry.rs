@@ -149,7 +149,7 @@ impl Exporter {
             Sent::Taken { rejected, why } => {
                 self.waiting.pop_front();
                 self.sent += 1;
-                self.dropped += rejected;
+                self.dropped = self.dropped.saturating_add(rejected);
                 self.wait = WAITS.0;
                 if rejected == 0 {
                     self.tell(true, "sending");
@@ -168,6 +168,14 @@ impl Exporter {
                 self.complain(&why);
             }
         }
+    }
+
+    /// Heeds an answer as if the endpoint had given it.
+    #[cfg(fuzzing)]
+    pub fn hear(&mut self, status: u16, after: &[u8], body: &[u8]) {
+        let after = HeaderValue::from_bytes(after).ok();
+        let status = StatusCode::from_u16(status).unwrap_or_default();
+        self.heed(verdict(status, retry_after(after.as_ref()), body));
     }
 
     fn complain(&mut self, why: &str) {

@@ -19,6 +19,7 @@ use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use nix::sys::socket::{setsockopt, sockopt::TcpUserTimeout};
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Notify, watch};
 use tokio::task::JoinSet;
@@ -201,12 +202,23 @@ async fn attend(
     seat: Arc<Seat>,
     routes: Router,
     limits: Limits,
-    mut stop: watch::Receiver<bool>,
+    stop: watch::Receiver<bool>,
 ) {
     let stalled_ms = u32::try_from(limits.stalled.as_millis()).unwrap_or(u32::MAX);
     if let Err(error) = setsockopt(&stream, TcpUserTimeout, &stalled_ms) {
         tracing::debug!("http: a stalled client will be waited for: {error}");
     }
+    converse(stream, seat, routes, limits, stop).await;
+}
+
+/// Answers the requests of a connection over anything that goes both ways.
+async fn converse<S: AsyncRead + AsyncWrite + Unpin>(
+    stream: S,
+    seat: Arc<Seat>,
+    routes: Router,
+    limits: Limits,
+    mut stop: watch::Receiver<bool>,
+) {
     let site = TowerToHyperService::new(routes);
     let end = Arc::clone(&seat.end);
     let answer = service_fn(move |request: Request<Incoming>| {
@@ -235,6 +247,13 @@ async fn attend(
     if let Err(error) = ended {
         tracing::debug!("http: a connection ended: {error}");
     }
+}
+
+/// Answers a client that says these bytes and no more.
+#[cfg(fuzzing)]
+pub(super) async fn hear(bytes: &[u8], routes: Router, stop: watch::Receiver<bool>) {
+    let seat = Seat::take(&Arc::default());
+    converse(crate::fuzzing::Said::new(bytes), seat, routes, Limits::default(), stop).await;
 }
 
 #[cfg(test)]

@@ -110,6 +110,28 @@ impl Http {
     }
 }
 
+/// Answers clients that say something and no more.
+#[cfg(fuzzing)]
+#[derive(Clone)]
+pub struct Heard {
+    routes: Router,
+    stop: watch::Receiver<bool>,
+}
+
+#[cfg(fuzzing)]
+impl Heard {
+    /// Answers as the site would.
+    pub fn by(http: Http) -> Self {
+        let stop = http.site.stop.clone();
+        Heard { routes: routes(Arc::new(http.site)), stop }
+    }
+
+    /// Answers a connection's bytes.
+    pub async fn hear(&self, bytes: &[u8]) {
+        connections::hear(bytes, self.routes.clone(), self.stop.clone()).await;
+    }
+}
+
 /// The token that requests must bring.
 ///
 /// # Errors

@@ -493,6 +493,14 @@ impl Broker {
     }
 }
 
+#[cfg(fuzzing)]
+impl Broker {
+    /// Heeds a message as if the broker had handed it out.
+    pub fn hear(&mut self, topic: &str, retained: bool, content: &[u8]) {
+        self.take_order(&Message { topic: topic.to_owned(), retained, content: content.to_vec() });
+    }
+}
+
 /// What the connection tells next; never, where there is none.
 async fn next_event(connection: &mut Option<Connection>) -> Option<ConnectionEvent> {
     match connection {

@@ -185,6 +185,12 @@ impl Node {
         }
     }
 
+    /// Heeds a message as if the broker had handed it out.
+    #[cfg(fuzzing)]
+    pub fn hear(&mut self, topic: &str, retained: bool, content: &[u8]) {
+        self.take_command(&Message { topic: topic.to_owned(), retained, content: content.to_vec() });
+    }
+
     /// Tells what has changed; after a new connection or where a host has asked, everything.
     async fn tell_axes(&mut self) {
         let axes = self.hub.axes();

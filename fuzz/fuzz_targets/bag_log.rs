@@ -1,0 +1,41 @@
+//! A ROS 2 bag in SQLite's format: as it is, or without its magic bytes one that is made of the input: definition, then messages, each after its
+//! length in two bytes.
+//! Parser: crates/logs/src/bag.rs
+#![no_main]
+use seepd_logs::fuzzing::read_log;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| {
+    if data.starts_with(b"SQLite format 3\0") {
+        read_log(data, "command");
+    } else if let Some(bag) = bag(data) {
+        read_log(&bag, "command");
+    }
+});
+
+/// The next piece of the input, after its length.
+fn piece<'d>(rest: &mut &'d [u8]) -> Option<&'d [u8]> {
+    let (length, after) = rest.split_first_chunk()?;
+    let (piece, after) = after.split_at(usize::from(u16::from_le_bytes(*length)).min(after.len()));
+    *rest = after;
+    Some(piece)
+}
+
+fn bag(mut rest: &[u8]) -> Option<Vec<u8>> {
+    let definition = String::from_utf8_lossy(piece(&mut rest)?);
+    let mut database = rusqlite::Connection::open_in_memory().expect("memory");
+    let make = "PRAGMA page_size = 512;
+        CREATE TABLE message_definitions (topic_type, encoding, encoded_message_definition);
+        CREATE TABLE topics (id, name, type, serialization_format);
+        CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data);
+        INSERT INTO topics VALUES (1, '/plc', 'plc/msg/Axis', 'cdr'), (2, '/json', 'other', 'json');";
+    database.execute_batch(make).expect("SQL");
+    let define = "INSERT INTO message_definitions VALUES ('plc/msg/Axis', 'ros2msg', ?1)";
+    database.execute(define, [&definition]).expect("SQL");
+    let mut time_ns = 0;
+    while let Some(message) = piece(&mut rest) {
+        time_ns += 1_000_000;
+        let (topic, message) = message.split_first().unwrap_or((&1, &[]));
+        database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?1, ?2, ?3)", (topic, time_ns, message)).expect("SQL");
+    }
+    Some(database.serialize(rusqlite::MAIN_DB).expect("memory").to_vec())
+}

@@ -1,0 +1,19 @@
+//! What an adopted machine's data sheet says: an error, or a plant that can be told.
+//! Parser: crates/adopt/src/machine_data.rs crates/adopt/src/plant.rs crates/adopt/src/flow_curve.rs
+#![no_main]
+use seepd_adopt::machine_data::MachineData;
+use seepd_adopt::plant::{LoggedSize, describe};
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| {
+    let Ok(text) = std::str::from_utf8(data) else { return };
+    let Ok(data) = MachineData::from_toml(text) else { return };
+    for (positions_m, speed_m_per_s, largest_command) in
+        [(None, None, None), (Some((0.01, 0.2)), Some(0.3), Some(0.5)), (None, Some(0.3), Some(0.0))]
+    {
+        let logged = LoggedSize { log_period_s: 1e-3, period_s: 4.0, positions_m, speed_m_per_s, largest_command };
+        match describe(&data, &logged) {
+            Ok(plant) => drop(plant.spec.to_toml()),
+            Err(error) => drop(error.to_string()),
+        }
+    }
+});
