@@ -1,5 +1,5 @@
 //! A baseline, of an axis with a model and of one without: an error, or one that cycles can be compared with.
-//! Parser: crates/monitor/src/baseline/mod.rs crates/monitor/src/relative/mod.rs
+//! Parser: crates/monitor/src/baseline/mod.rs:parse,check_axis,newest,to_json,relative_of,phase_names,check crates/monitor/src/relative/mod.rs:parse,check_axis,to_json,check crates/monitor/src/relative/shape.rs:open
 #![no_main]
 use std::sync::LazyLock;
 
@@ -17,9 +17,9 @@ libfuzzer_sys::fuzz_target!(|data: &[u8]| {
         let present = [0.1; 8];
         let given = relative.estimate(&Comparison { baseline: &baseline.mean, present: &present, load_change: None, noise: 0.001 });
         assert!(!(given.estimate.value < 0.0));
-        let _ = file.check_axis("press");
+        let _ = (file.check_axis("press"), file.to_json());
     }
     if let Ok(file) = RelativeBaseline::parse(&text) {
-        let _ = file.check_axis("press");
+        let _ = (file.check_axis("press"), file.to_json());
     }
 });

@@ -1,5 +1,5 @@
 //! The page: what a client says on a connection, with a token (the first byte is odd) and without.
-//! Parser: crates/daemon/src/sink/http/mod.rs crates/daemon/src/sink/http/login.rs crates/daemon/src/sink/http/connections.rs:converse crates/daemon/src/hub/order.rs
+//! Parser: crates/daemon/src/sink/http/mod.rs:read_token,problem,in_time,admit,check_origin,check_site,bearer,cookie,same,by_query,let_in,asset,metrics,overview,status,no_axis,axis,trend,cycles,healthy,acknowledge,new_baseline,repairs,order,healthz,history,events crates/daemon/src/sink/http/login.rs crates/daemon/src/sink/http/connections.rs:converse crates/daemon/src/hub/order.rs:from_json,said
 #![no_main]
 use std::cell::RefCell;
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! A repair log, an entry given by hand, and who takes note of a flag.
+//! Repair logs, entries given by hand, and who takes note of a flag.
 //! Parser: crates/daemon/src/repair_log.rs:parse,check_texts,parse_time,time_text crates/daemon/src/hub/order.rs:from_json,said,at
 #![no_main]
 use seepd::hub::{NewRepair, Signature};

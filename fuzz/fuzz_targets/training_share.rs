@@ -1,4 +1,4 @@
-//! A share of a training that was simulated elsewhere: its content with a digest that is right, or the bytes as they are.
+//! A share of a training that was simulated elsewhere: its content with a digest that is right, and the bytes as they are.
 //! Parser: crates/train/src/portions.rs:add,training_of
 #![no_main]
 use std::sync::LazyLock;

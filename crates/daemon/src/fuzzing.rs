@@ -6,24 +6,35 @@ use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-/// A connection on which somebody has said something, and takes whatever is answered.
+/// Times that a client waits for answers before it leaves.
+const WAITS: u8 = 8;
+
+/// A connection on which somebody says something head by head, takes whatever is answered, and leaves after a while.
 pub(crate) struct Said<'b> {
     bytes: &'b [u8],
+    waits: u8,
 }
 
 impl<'b> Said<'b> {
     pub(crate) fn new(bytes: &'b [u8]) -> Self {
-        Said { bytes }
+        Said { bytes, waits: WAITS }
     }
 }
 
 impl AsyncRead for Said<'_> {
     fn poll_read(
         mut self: Pin<&mut Self>,
-        _context: &mut Context<'_>,
+        context: &mut Context<'_>,
         into: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        let (now, later) = self.bytes.split_at(self.bytes.len().min(into.remaining()));
+        if self.bytes.is_empty() && self.waits > 0 {
+            self.waits -= 1;
+            context.waker().wake_by_ref();
+            return Poll::Pending;
+        }
+        // An opening of a WebSocket has nothing behind it before it is answered.
+        let head = self.bytes.windows(4).position(|four| four == b"\r\n\r\n").map_or(usize::MAX, |at| at + 4);
+        let (now, later) = self.bytes.split_at(self.bytes.len().min(into.remaining()).min(head));
         into.put_slice(now);
         self.bytes = later;
         Poll::Ready(Ok(()))

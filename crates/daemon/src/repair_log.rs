@@ -25,6 +25,8 @@ const HEAD: &str = "# What was done to the machine: seepd adds entries at the en
 const LONGEST_NAME: usize = 100;
 /// Longest note, characters.
 const LONGEST_NOTE: usize = 500;
+/// Times before and after 1970 by more than this are no times, ns: what is written of one is read again, rounded as it may be.
+const FARTHEST_NS: u64 = 9_000_000_000_000_000_000;
 /// Longest file that is read, bytes: some ten thousand entries.
 const LARGEST_FILE: u64 = 4 << 20;
 
@@ -116,7 +118,7 @@ pub fn parse_time(text: &str) -> Result<i64, String> {
     let text = text.trim();
     let seconds = text.strip_suffix('s').and_then(|number| number.trim_end().parse::<f64>().ok());
     let ns = match seconds {
-        Some(seconds) => Some((seconds * 1e9).round()).filter(|ns| ns.abs() < 9e18).map(|ns| ns as i64),
+        Some(seconds) => Some((seconds * 1e9).round()).filter(|ns| ns.is_finite()).map(|ns| ns as i64),
         None => {
             let civil = || {
                 let zoned = text.parse::<DateTime>().ok()?.to_zoned(TimeZone::UTC).ok()?;
@@ -126,7 +128,7 @@ pub fn parse_time(text: &str) -> Result<i64, String> {
             stamp.and_then(|stamp| i64::try_from(stamp.as_nanosecond()).ok())
         }
     };
-    ns.ok_or_else(|| {
+    ns.filter(|ns| ns.unsigned_abs() < FARTHEST_NS).ok_or_else(|| {
         format!(
             "`{}` is no time; write 2026-03-01 14:30 (UTC), 2026-03-01T14:30:00+01:00 or 600 s",
             text.escape_debug()
@@ -211,7 +213,10 @@ mod tests {
             assert_eq!(parse_time(text), Ok(midnight), "{text}");
         }
         assert_eq!((parse_time("600 s"), parse_time("0.5s")), (Ok(600_000_000_000), Ok(500_000_000)));
-        for wrong in ["", "yesterday", "NaN s", "1e300 s", "2026-13-01", "2026-01-01 s"] {
+        // Of the last two only dates could be told, and nobody would read what is written of the first of them.
+        for wrong in
+            ["", "yesterday", "NaN s", "1e300 s", "2026-13-01", "2026-01-01 s", "1677-09-22", "2262-04-11"]
+        {
             assert!(parse_time(wrong).unwrap_err().contains("is no time"), "{wrong}");
         }
         assert_eq!(
