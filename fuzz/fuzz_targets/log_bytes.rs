@@ -1,6 +1,6 @@
 //! A log of any kind, as far as its bytes tell: surveyed, then read. From 0xf0 on the first byte says what archives or encodings of text are
 //! around the rest: gzip, zstd, UTF-16 of either order (bits 0 and 1), and around that (bit 2) gzip or zstd (bit 3).
-//! Parser: crates/logs/src/kind.rs crates/logs/src/wrapping.rs crates/logs/src/opened.rs:of,of_kind,head,into_stream,into_file,unpack,mcap_file crates/logs/src/survey.rs crates/logs/src/guess.rs
+//! Parser: crates/logs/src/kind.rs crates/logs/src/wrapping.rs crates/logs/src/opened.rs:of,of_kind,head,into_stream,into_file,unpack,mcap_file crates/logs/src/survey.rs:survey,of_opened,survey_records,announce,take,note,survey_csv,survey_frames,into_survey,look_into,take_time,take_field,take_field_of,finished crates/logs/src/guess.rs crates/logs/src/fields.rs crates/logs/src/decode.rs:pick,decoder_bytes crates/logs/src/json.rs:mended
 #![no_main]
 use std::io::{Cursor, Write};
 

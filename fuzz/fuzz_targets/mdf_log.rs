@@ -1,5 +1,5 @@
 //! An MDF log: surveyed, then read, measured signals and the frames of a bus.
-//! Parser: crates/logs/src/mdf/mod.rs crates/logs/src/mdf/block.rs crates/logs/src/mdf/channel.rs crates/logs/src/mdf/frames.rs crates/logs/src/mdf/records.rs crates/logs/src/mdf/signals.rs crates/logs/src/mdf/stream.rs
+//! Parser: crates/logs/src/mdf/mod.rs crates/logs/src/mdf/block.rs crates/logs/src/mdf/channel.rs crates/logs/src/mdf/frames.rs crates/logs/src/mdf/records.rs crates/logs/src/mdf/signals.rs crates/logs/src/mdf/stream.rs crates/logs/src/survey.rs:survey_mdf
 #![no_main]
 use std::io::Cursor;
 
@@ -12,7 +12,7 @@ libfuzzer_sys::fuzz_target!(|data: &[u8]| {
         return;
     }
     let _ = survey(Cursor::new(data), "log", "t_s", None);
-    for command in ["command", "valve"] {
+    for command in ["command", "valve", ""] {
         read_file(data, false, command);
     }
 });

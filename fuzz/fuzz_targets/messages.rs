@@ -1,6 +1,6 @@
 //! Schemas and messages of JSON, protobuf and ROS 2, each number of them seen: the first byte picks what the rest is. Where it
 //! is both a schema and a message, two bytes say how long the schema is.
-//! Parser: crates/logs/src/decode.rs crates/logs/src/fields.rs crates/logs/src/json.rs crates/logs/src/protobuf.rs crates/logs/src/protobuf_wire.rs crates/logs/src/ros.rs
+//! Parser: crates/logs/src/decode.rs:new,visit crates/logs/src/json.rs:visit,visit_f64,visit_i64,visit_u64,visit_bool,visit_unit,visit_str,visit_map,visit_seq,deserialize crates/logs/src/protobuf.rs crates/logs/src/protobuf_wire.rs crates/logs/src/ros.rs
 #![no_main]
 use seepd_logs::fuzzing::walk;
 
