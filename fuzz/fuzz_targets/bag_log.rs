@@ -1,7 +1,8 @@
-//! A ROS 2 bag in SQLite's format: as it is, or without its magic bytes one that is made of the input: definition, then messages, each after its
-//! length in two bytes.
-//! Parser: crates/logs/src/bag.rs
+//! A ROS 2 bag in SQLite's format: as it is, or without its magic bytes one that is made of the input: a byte of what is odd about it, the
+//! messages' definition, then messages, each after its length in two bytes.
+//! Parser: crates/logs/src/bag.rs:open,announce,fetch,fetch_after,take_message,connect,is_damage,push_text,next_record,notes
 #![no_main]
+use rusqlite::{Connection, MAIN_DB};
 use seepd_logs::fuzzing::read_log;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
@@ -20,9 +21,10 @@ fn piece<'d>(rest: &mut &'d [u8]) -> Option<&'d [u8]> {
     Some(piece)
 }
 
-fn bag(mut rest: &[u8]) -> Option<Vec<u8>> {
+fn bag(data: &[u8]) -> Option<Vec<u8>> {
+    let (odd, mut rest) = data.split_first()?;
     let definition = String::from_utf8_lossy(piece(&mut rest)?);
-    let mut database = rusqlite::Connection::open_in_memory().expect("memory");
+    let mut database = Connection::open_in_memory().expect("memory");
     let make = "PRAGMA page_size = 512;
         CREATE TABLE message_definitions (topic_type, encoding, encoded_message_definition);
         CREATE TABLE topics (id, name, type, serialization_format);
@@ -35,7 +37,29 @@ fn bag(mut rest: &[u8]) -> Option<Vec<u8>> {
     while let Some(message) = piece(&mut rest) {
         time_ns += 1_000_000;
         let (topic, message) = message.split_first().unwrap_or((&1, &[]));
-        database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?1, ?2, ?3)", (topic, time_ns, message)).expect("SQL");
+        let packed = zstd::bulk::compress(message, 1).expect("memory");
+        let message = if odd & 1 == 0 { message } else { &packed };
+        let insert = "INSERT INTO messages (topic_id, timestamp, data) VALUES (?1, ?2, ?3)";
+        database.execute(insert, (topic, time_ns, message)).expect("SQL");
     }
-    Some(database.serialize(rusqlite::MAIN_DB).expect("memory").to_vec())
+    let oddities = [
+        "DROP TABLE message_definitions",
+        "DROP TABLE topics",
+        "UPDATE messages SET timestamp = 'noon' WHERE id = 2",
+        "UPDATE messages SET data = NULL WHERE id = 2",
+        "UPDATE messages SET data = zeroblob(9000000) WHERE id = 2",
+        "UPDATE topics SET name = NULL",
+    ];
+    for (bit, oddity) in (1..).zip(oddities) {
+        if odd >> bit & 1 == 1 {
+            database.execute_batch(oddity).expect("SQL");
+        }
+    }
+    let mut bytes = database.serialize(MAIN_DB).expect("memory").to_vec();
+    if odd >> 7 == 1 {
+        // Damage in the last page, where messages are.
+        let at = bytes.len().saturating_sub(500);
+        bytes[at] ^= 0xff;
+    }
+    Some(bytes)
 }

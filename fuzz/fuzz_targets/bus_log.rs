@@ -1,5 +1,5 @@
 //! A bus's log in every format, by the bytes that tell it: text a line a frame, or BLF; read with a DBC file of every kind of field.
-//! Parser: crates/logs/src/bus_log.rs crates/logs/src/can/asc.rs crates/logs/src/can/blf.rs crates/logs/src/can/busmaster.rs crates/logs/src/can/candump.rs crates/logs/src/can/savvycan.rs crates/logs/src/can/trc.rs crates/logs/src/can/text_log.rs crates/logs/src/can/words.rs crates/logs/src/can/logged.rs crates/logs/src/can/timeline.rs
+//! Parser: crates/logs/src/bus_log.rs crates/logs/src/can/asc.rs crates/logs/src/can/blf.rs crates/logs/src/can/busmaster.rs crates/logs/src/can/candump.rs crates/logs/src/can/savvycan.rs crates/logs/src/can/trc.rs crates/logs/src/can/text_log.rs:new,take,logged,next_frame,place crates/logs/src/can/words.rs crates/logs/src/can/logged.rs
 #![no_main]
 use std::sync::LazyLock;
 

@@ -1,5 +1,5 @@
 //! A log of any kind as columns over one grid of time; of a bus, with a DBC file.
-//! Parser: crates/logs/src/columns/mod.rs crates/logs/src/columns/fill.rs crates/logs/src/columns/grid.rs crates/logs/src/columns/time_column.rs crates/logs/src/columns/unit.rs crates/logs/src/bus_survey.rs
+//! Parser: crates/logs/src/columns/mod.rs:read,by_opening,surveyed,nothing_to_see,wanted_fields crates/logs/src/columns/fill.rs crates/logs/src/columns/grid.rs crates/logs/src/columns/time_column.rs:find,rank,as_time,as_stamps,taken_as_told,clock_step,named_unit,unit_of_date,unit_of_step,heads,listed_heads crates/logs/src/columns/unit.rs crates/logs/src/bus_survey.rs
 #![no_main]
 use std::io::Cursor;
 use std::sync::LazyLock;

@@ -1,5 +1,5 @@
 //! What an adopted machine's data sheet says: an error, or a plant that can be told.
-//! Parser: crates/adopt/src/machine_data.rs crates/adopt/src/plant.rs crates/adopt/src/flow_curve.rs
+//! Parser: crates/adopt/src/machine_data.rs crates/adopt/src/plant.rs:describe,check,circle_m2,set,known,usual,supply_pressure,cylinder,flow_share,valve,rest_of_the_plant,speed_fits,controller,soften_the_inlet,rated_land_pa,by_the_pump,speed_of crates/adopt/src/flow_curve.rs:possible_flow_percent,knee_of,stated
 #![no_main]
 use seepd_adopt::machine_data::MachineData;
 use seepd_adopt::plant::{LoggedSize, describe};

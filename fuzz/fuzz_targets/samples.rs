@@ -1,5 +1,5 @@
 //! Samples: pairs of a time step in ns (i64) and a command (f64), through the embedded model's reader.
-//! Parser: crates/features/src/intake.rs crates/features/src/reader.rs crates/features/src/segment.rs
+//! Parser: crates/features/src/intake.rs crates/features/src/reader.rs:start,push,finish,restart,take
 #![no_main]
 use std::sync::LazyLock;
 

@@ -165,7 +165,12 @@ impl Bag {
         let mut rows = statement.query((after, LONGEST_RECORD as i64, BATCH as i64))?;
         let mut bytes = 0;
         while let Some(row) = rows.next()? {
-            self.newest = row.get(0)?;
+            let number = row.get(0)?;
+            // In a damaged page numbers may go backwards, and what follows would be fetched again for ever.
+            if number <= after.max(self.newest) {
+                return Err(Error::IntegralValueOutOfRange(0, number));
+            }
+            self.newest = number;
             if self.batch.len() == self.fetched {
                 self.batch.push(Message::default());
             }
@@ -270,5 +275,41 @@ impl RecordLog for Bag {
             format!("{} messages longer than {} MiB were passed over", self.too_long, LONGEST_RECORD >> 20)
         });
         damaged.into_iter().chain(too_long).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Found by fuzzing: one that went on for ever.
+    #[test]
+    fn a_bag_of_which_a_byte_is_turned_over_ends() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bag.db3");
+        let database = Connection::open(&path).unwrap();
+        let make = "PRAGMA page_size = 512;
+            CREATE TABLE message_definitions (topic_type, encoding, encoded_message_definition);
+            CREATE TABLE topics (id, name, type, serialization_format);
+            CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data);
+            INSERT INTO topics VALUES (1, '/plc', 'plc/msg/Axis', 'cdr');";
+        database.execute_batch(make).unwrap();
+        for number in 1..=40 {
+            let insert = "INSERT INTO messages VALUES (?1, 1, ?1, x'00010000000000000000e03f')";
+            database.execute(insert, [number]).unwrap();
+        }
+        drop(database);
+        let whole = std::fs::read(&path).unwrap();
+        let mut record = Vec::new();
+        for at in whole.len() - 1024..whole.len() {
+            for mask in [0xff, 1] {
+                let mut turned = whole.clone();
+                turned[at] ^= mask;
+                std::fs::write(&path, turned).unwrap();
+                let mut bag = Bag::open(&path, "bag").unwrap();
+                let records = (0..100).take_while(|_| bag.next_record(&mut record).unwrap().is_some());
+                assert!(records.count() < 100, "byte {at}");
+            }
+        }
     }
 }

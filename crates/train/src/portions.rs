@@ -127,6 +127,20 @@ fn training_of(spec: &MachineSpec, settings: &TrainingSettings) -> Result<String
     Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
+/// A share of this training with these bytes as its portions, sealed as it should be.
+#[cfg(fuzzing)]
+pub fn sealed(spec: &MachineSpec, settings: &TrainingSettings, portions: &[u8]) -> Result<Vec<u8>, TrainError> {
+    let content = [&postcard::to_stdvec(&training_of(spec, settings)?)?, portions].concat();
+    Ok([&content[..], &Sha256::digest(&content)].concat())
+}
+
+/// Reads a portion of a share; whether it is one of cycles.
+#[cfg(fuzzing)]
+pub fn is_of_cycles(portion: &[u8]) -> bool {
+    let rows = postcard::from_bytes::<Vec<Row>>(portion);
+    rows.is_ok_and(|rows| rows.iter().all(|row| row.statistics().is_some()))
+}
+
 /// A cycle's statistics on their way between machines.
 #[derive(Serialize, Deserialize)]
 pub(crate) struct Row(Vec<f64>);

@@ -149,7 +149,7 @@ impl Exporter {
             Sent::Taken { rejected, why } => {
                 self.waiting.pop_front();
                 self.sent += 1;
-                self.dropped = self.dropped.saturating_add(rejected);
+                self.dropped += rejected;
                 self.wait = WAITS.0;
                 if rejected == 0 {
                     self.tell(true, "sending");
@@ -296,7 +296,9 @@ fn verdict(status: StatusCode, after: Option<Duration>, body: &[u8]) -> Sent {
             let part = Response::decode(body).ok().and_then(|response| response.partial_success);
             let part = part.unwrap_or_default();
             let why = part.error_message.chars().filter(|c| !c.is_control()).take(200).collect();
-            Sent::Taken { rejected: u64::try_from(part.rejected_data_points).unwrap_or(0), why }
+            // Nobody was sent more points than that; the count of all answers is not to run over.
+            let rejected = u64::try_from(part.rejected_data_points).unwrap_or(0).min(u32::MAX.into());
+            Sent::Taken { rejected, why }
         }
         429 | 502 | 503 | 504 => Sent::NotNow { why: format!("it answers {status}"), after },
         _ => Sent::Never(format!("it refuses the metrics: {status}")),
@@ -360,6 +362,8 @@ mod tests {
         assert_eq!(of(200, &[]), Sent::Taken { rejected: 0, why: String::new() });
         let part = [10, 6, 8, 2, 18, 2, b'n', b'o'];
         assert_eq!(of(200, &part), Sent::Taken { rejected: 2, why: "no".into() });
+        let all = [10, 10, 8, 255, 255, 255, 255, 255, 255, 255, 255, 127];
+        assert_eq!(of(200, &all), Sent::Taken { rejected: u32::MAX.into(), why: String::new() });
         assert!(matches!(of(503, &[]), Sent::NotNow { .. }) && matches!(of(429, &[]), Sent::NotNow { .. }));
         assert!(matches!(of(400, &[]), Sent::Never(_)) && matches!(of(500, &[]), Sent::Never(_)));
         assert!(matches!(of(301, &[]), Sent::Never(_)));
