@@ -3,11 +3,12 @@
 #![no_main]
 use std::sync::LazyLock;
 
+use seepd_model::{Comparison, Model};
 use seepd_monitor::baseline::BaselineFile;
 use seepd_monitor::relative::RelativeBaseline;
-use seepd_model::{Comparison, Model};
 
-static MODEL: LazyLock<Model> = LazyLock::new(|| Model::from_json(seepd::EMBEDDED_MODEL).expect("the program's own"));
+static MODEL: LazyLock<Model> =
+    LazyLock::new(|| Model::from_json(seepd::EMBEDDED_MODEL).expect("the program's own"));
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     let text = String::from_utf8_lossy(data);
@@ -15,7 +16,12 @@ libfuzzer_sys::fuzz_target!(|data: &[u8]| {
         && let (Some(baseline), Some(relative)) = (file.newest(), MODEL.relative())
     {
         let present = [0.1; 8];
-        let given = relative.estimate(&Comparison { baseline: &baseline.mean, present: &present, load_change: None, noise: 0.001 });
+        let given = relative.estimate(&Comparison {
+            baseline: &baseline.mean,
+            present: &present,
+            load_change: None,
+            noise: 0.001,
+        });
         assert!(!(given.estimate.value < 0.0));
         let _ = (file.check_axis("press"), file.to_json());
     }

@@ -4,10 +4,10 @@
 #![no_main]
 use std::sync::LazyLock;
 
+use seepd::config::DaemonConfig;
 use seepd_logs::LogMapping;
 use seepd_logs::can::decode::FrameDecoder;
 use seepd_logs::can::{Content, linux};
-use seepd::config::DaemonConfig;
 
 static MAPPINGS: LazyLock<Vec<LogMapping>> = LazyLock::new(|| {
     let config = DaemonConfig::parse(

@@ -11,14 +11,19 @@ use seepd_logs::columns::{Columns, Known};
 static KNOWN: LazyLock<[Known; 2]> = LazyLock::new(|| {
     let text = include_bytes!("../../tests/fixtures/can/dbc/multiplex_2.dbc");
     let dbc = Some(Dbc::parse(text, "multiplex_2.dbc").expect("a DBC file"));
-    [Known { dbc, ..Known::default() }, Known { time_column: Some("t".into()), time_unit: Some(TimeUnit::Ms), dbc: None }]
+    [
+        Known { dbc, ..Known::default() },
+        Known { time_column: Some("t".into()), time_unit: Some(TimeUnit::Ms), dbc: None },
+    ]
 });
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     for known in &*KNOWN {
         if let Ok(columns) = Columns::read(Cursor::new(data), "log", known) {
             let samples = columns.columns.first().map_or(0, |column| column.values.len());
-            assert!(columns.rate_hz > 0.0 && columns.columns.iter().all(|column| column.values.len() == samples));
+            assert!(
+                columns.rate_hz > 0.0 && columns.columns.iter().all(|column| column.values.len() == samples)
+            );
         }
     }
 });

@@ -33,7 +33,11 @@ fn around(how: u8, content: Vec<u8>) -> Vec<u8> {
             encoder.finish().expect("memory")
         }
         1 => zstd::bulk::compress(&content, 1).expect("memory"),
-        2 => [&b"\xff\xfe"[..], &units().into_iter().flat_map(u16::to_le_bytes).collect::<Vec<u8>>()].concat(),
-        _ => [&b"\xfe\xff"[..], &units().into_iter().flat_map(u16::to_be_bytes).collect::<Vec<u8>>()].concat(),
+        2 => {
+            [&b"\xff\xfe"[..], &units().into_iter().flat_map(u16::to_le_bytes).collect::<Vec<u8>>()].concat()
+        }
+        _ => {
+            [&b"\xfe\xff"[..], &units().into_iter().flat_map(u16::to_be_bytes).collect::<Vec<u8>>()].concat()
+        }
     }
 }

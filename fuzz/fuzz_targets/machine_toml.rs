@@ -10,7 +10,8 @@ libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     for (positions_m, speed_m_per_s, largest_command) in
         [(None, None, None), (Some((0.01, 0.2)), Some(0.3), Some(0.5)), (None, Some(0.3), Some(0.0))]
     {
-        let logged = LoggedSize { log_period_s: 1e-3, period_s: 4.0, positions_m, speed_m_per_s, largest_command };
+        let logged =
+            LoggedSize { log_period_s: 1e-3, period_s: 4.0, positions_m, speed_m_per_s, largest_command };
         match describe(&data, &logged) {
             Ok(plant) => drop(plant.spec.to_toml()),
             Err(error) => drop(error.to_string()),

@@ -14,7 +14,9 @@ libfuzzer_sys::fuzz_target!(|data: &[u8]| {
         _ => [MCAP_MAGIC, data].concat(),
     };
     read_file(&bytes, true, "command");
-    let Ok(mut source) = McapSource::new(Cursor::new(bytes), "log", LogMapping::default().places()) else { return };
+    let Ok(mut source) = McapSource::new(Cursor::new(bytes), "log", LogMapping::default().places()) else {
+        return;
+    };
     while let Ok(Some(_)) = source.next_sample() {}
     let _ = source.notes();
 });

@@ -10,7 +10,14 @@ use serde_json::{Value, json};
 /// The program's own with one tree of each kind and the first of each list that is long.
 static SMALL: LazyLock<Value> = LazyLock::new(|| {
     let mut model: Value = serde_json::from_slice(seepd::EMBEDDED_MODEL).expect("the program's own");
-    for (place, most) in [("/trees", 1), ("/relative/trees", 1), ("/causes/cells", 12), ("/golden", 0), ("/relative/golden", 0), ("/causes/golden", 0)] {
+    for (place, most) in [
+        ("/trees", 1),
+        ("/relative/trees", 1),
+        ("/causes/cells", 12),
+        ("/golden", 0),
+        ("/relative/golden", 0),
+        ("/causes/golden", 0),
+    ] {
         model.pointer_mut(place).and_then(Value::as_array_mut).expect(place).truncate(most);
     }
     Model::from_json(model.to_string().as_bytes()).expect("a model");
@@ -60,7 +67,12 @@ fn read(json: &[u8]) {
     if let Some(relative) = model.relative() {
         let (baseline, present) = (vec![0.1; relative.phases()], vec![0.2; relative.phases()]);
         for load_change in [None, Some(0.1)] {
-            let _ = relative.estimate(&Comparison { baseline: &baseline, present: &present, load_change, noise: 0.001 });
+            let _ = relative.estimate(&Comparison {
+                baseline: &baseline,
+                present: &present,
+                load_change,
+                noise: 0.001,
+            });
         }
     }
 }

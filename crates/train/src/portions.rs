@@ -129,7 +129,11 @@ fn training_of(spec: &MachineSpec, settings: &TrainingSettings) -> Result<String
 
 /// A share of this training with these bytes as its portions, sealed as it should be.
 #[cfg(fuzzing)]
-pub fn sealed(spec: &MachineSpec, settings: &TrainingSettings, portions: &[u8]) -> Result<Vec<u8>, TrainError> {
+pub fn sealed(
+    spec: &MachineSpec,
+    settings: &TrainingSettings,
+    portions: &[u8],
+) -> Result<Vec<u8>, TrainError> {
     let content = [&postcard::to_stdvec(&training_of(spec, settings)?)?, portions].concat();
     Ok([&content[..], &Sha256::digest(&content)].concat())
 }
