@@ -1,5 +1,5 @@
 //! A model file: an error, or a model that evaluates. What does not begin like JSON is changes to a small model, a line each: where, and the
-//! value as JSON, or nothing for what goes. A line without a place ends a file, and the next begins with the small model again.
+//! value as JSON, or nothing for what goes.
 //! Parser: crates/model/src/check.rs crates/model/src/error.rs crates/model/src/schema.rs:phase_list,values,alike_from,is_usual_alike_from crates/model/src/model.rs:from_json,from_file,check_golden,agree crates/model/src/ensemble.rs:from_checked crates/model/src/relative.rs:from_checked,check_golden crates/model/src/causes/mod.rs:from_checked,check_golden,priors,check_causes
 #![no_main]
 use std::sync::LazyLock;
@@ -29,13 +29,9 @@ libfuzzer_sys::fuzz_target!(|data: &[u8]| {
         return read(data);
     }
     let Ok(changes) = std::str::from_utf8(data) else { return };
-    let mut changed = None;
-    for line in changes.lines().chain([""]).take(400) {
-        match line.strip_prefix('/') {
-            Some(_) => change(changed.get_or_insert_with(|| SMALL.clone()), line),
-            None => changed.take().into_iter().for_each(|model| read(model.to_string().as_bytes())),
-        }
-    }
+    let mut model = SMALL.clone();
+    changes.lines().filter(|line| line.starts_with('/')).for_each(|line| change(&mut model, line));
+    read(model.to_string().as_bytes());
 });
 
 fn change(model: &mut Value, line: &str) {
