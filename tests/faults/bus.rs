@@ -36,7 +36,7 @@ const REMOTE: u32 = 0x4000_0000;
 const PROTOCOL: u32 = 0x8;
 const BUS_OFF: u32 = 0x40;
 const RESTARTED: u32 = 0x100;
-/// So soon the daemon hears an interface again that was away.
+/// So soon the daemon hears an interface again that was away, or whose controller was.
 const BACK_WITHIN: Duration = Duration::from_secs(2);
 
 #[derive(Debug, Clone, Copy)]
@@ -196,6 +196,10 @@ impl Sender {
             (Disturbance::Deleted, Line::Kernel(interface)) => interface.make_again(),
             (Disturbance::Renamed, Line::Kernel(interface)) => interface.replace(),
             _ => return,
+        }
+        // Of sockets none was away, and the computer that they are on has other tests to run.
+        if matches!(self.line, Line::Socket(_)) {
+            return;
         }
         let axis = self.axis;
         self.back.push(thread::spawn(move || {
