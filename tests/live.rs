@@ -1009,8 +1009,7 @@ fn load_of_a_thousand_frames_a_second_with_all_sinks() {
         machine_toml(&socket),
         mosquitto.port
     );
-    // As its unit runs it.
-    let daemon = Daemon::start_with(folder.path(), &config, &[("MALLOC_ARENA_MAX", "1")]);
+    let daemon = Daemon::start_with_one_heap(folder.path(), &config);
     let machine = Machine::start(&socket, cycle("nominal_leak_1e-6.csv"));
     let seconds = 90;
     let yardstick = collectd(folder.path(), mosquitto.port);
@@ -1078,7 +1077,7 @@ fn an_hour_of_nine_machines_with_clients_that_come_and_go_keeps_memory_flat() {
         "state_dir = \"state\"\n[http]\nlisten = \"127.0.0.1:{port}\"\n[recording]\nfile_mb = 8.0\ntotal_mb = 200.0\n"
     );
     (0..9).for_each(|axis| config += &axis_toml(&axis.to_string(), &socket(axis)));
-    let daemon = Daemon::start_with(folder.path(), &config, &[("MALLOC_ARENA_MAX", "1")]);
+    let daemon = Daemon::start_with_one_heap(folder.path(), &config);
     let machines: Vec<_> =
         (0..9).map(|axis| Machine::start(&socket(axis), cycle("nominal_leak_1e-6.csv"))).collect();
 

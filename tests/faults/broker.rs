@@ -360,9 +360,7 @@ fn events_wait_for_a_broker_whose_certificate_has_expired() {
     let mut steps = Steps::begin(&clock);
     simulate(&log, &["--cycles", "20", "--leak-area", "5e-8", "--leak-growth", "8e-7"]);
     let secure = secure_broker(folder.path());
-    let credentials = ["--cafile", "ca.pem", "-u", "press", "-P", "a secret"];
-    let ca = folder.path().join("ca.pem").display().to_string();
-    let credentials = credentials.map(|word| if word == "ca.pem" { ca.as_str() } else { word });
+    let ca = folder.path().join("ca.pem");
     let (port, http_port) = (free_port(), free_port());
     let config = config(folder.path(), &log, "seepd/late", "5", port, http_port).replace(
         "host = \"127.0.0.1\"\nport",
@@ -373,7 +371,7 @@ fn events_wait_for_a_broker_whose_certificate_has_expired() {
     steps.set_ahead(Duration::from_secs(3 * 86_400));
     let broker = Mosquitto::start(folder.path(), port, &secure);
     let file = folder.path().join("heard.txt");
-    let listener = broker.listen(&file, &credentials);
+    let listener = broker.listen(&file, &["--cafile", ca.to_str().unwrap(), "-u", "press", "-P", "a secret"]);
     let environment =
         [("LD_PRELOAD", library.to_str().unwrap()), ("SEEPD_TEST_CLOCK", clock.to_str().unwrap())];
     let daemon = Daemon::start_with(folder.path(), &config, &environment);

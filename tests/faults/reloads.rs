@@ -209,8 +209,7 @@ impl Bench {
         let panel = UnixDatagram::bind(folder.path().join("panel.sock")).unwrap();
         let (http_port, dead_port) = (free_port(), free_port());
         let config = config(folder.path(), http_port, dead_port, &BARE);
-        // As its unit runs it: an allocator with a room for each thread keeps in each what reloads have once needed.
-        let daemon = Daemon::start_with(folder.path(), &config, &[("MALLOC_ARENA_MAX", "1")]);
+        let daemon = Daemon::start_with_one_heap(folder.path(), &config);
         let bench =
             Bench { folder, http_port, dead_port, _panel: panel, daemon, in_force: BARE, answered: 0 };
         until("a page", SOON, || crate::daemon::axis_status(http_port).is_some());

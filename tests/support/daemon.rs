@@ -40,6 +40,11 @@ impl Daemon {
         Self::spawn(folder, config, environment, Stdio::null(), log_file(folder).into())
     }
 
+    /// Starts it with the allocator as its unit sets it: with a heap for each thread, each would keep what it has once needed.
+    pub(crate) fn start_with_one_heap(folder: &Path, config: &str) -> Self {
+        Self::start_with(folder, config, &[("MALLOC_ARENA_MAX", "1")])
+    }
+
     /// Starts it with something else to log to than a file.
     pub(crate) fn start_logging_to(folder: &Path, config: &str, log: Stdio) -> Self {
         Self::spawn(folder, config, &[], Stdio::null(), log)

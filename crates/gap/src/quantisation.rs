@@ -83,7 +83,8 @@ fn groups(position_m: &[f64]) -> [Vec<f64>; GROUPS] {
 }
 
 fn evenly(values: &[f64], count: usize) -> Vec<f64> {
-    (0..count.min(values.len())).map(|index| values[index * values.len() / count.min(values.len())]).collect()
+    let count = count.min(values.len());
+    (0..count).map(|index| values[index * values.len() / count]).collect()
 }
 
 /// Length of the mean phasor at frequencies from one on.
@@ -164,14 +165,22 @@ mod tests {
         assert_eq!(position_step_m(&[], RANGE_M), None);
     }
 
-    /// Constant speed puts 0.25 mm between samples out, and the same back.
+    /// Constant speeds put 0.25 mm between samples out and twice that back, on the same comb; where the piston rests it is beside it.
     #[test]
     fn strokes_at_a_constant_speed_are_no_comb() {
-        let cycle: Vec<f64> = (0..1000)
-            .map(|n| 0.25e-3 * f64::from(n))
-            .chain((0..500).map(|n| 0.25 - 0.5e-3 * f64::from(n)))
-            .collect();
-        let log: Vec<f64> = cycle.iter().copied().cycle().take(12_000).collect();
-        assert_eq!(position_step_m(&log, RANGE_M), None);
+        let mut noise = Noise::new(3, 7);
+        let out = (0..1000).map(|n| 0.25e-3 * f64::from(n));
+        let back = (0..500).map(|n| 0.25 - 0.5e-3 * f64::from(n));
+        let rest = |position_m: f64| std::iter::repeat_n(position_m, 500);
+        let cycle: Vec<f64> = out.chain(rest(0.250_08)).chain(back).chain(rest(-0.000_08)).collect();
+        let mut log = |read: fn(f64) -> f64| -> Vec<f64> {
+            cycle.iter().cycle().take(12_500).map(|x| read(*x) + noise.normal(1e-5)).collect()
+        };
+        assert_eq!(position_step_m(&log(|x| x), RANGE_M), None);
+        let read_in_steps = position_step_m(&log(|x| (x / 0.25e-3).round() * 0.25e-3), RANGE_M);
+        assert!(
+            read_in_steps.is_some_and(|step_m| (step_m / 0.25e-3 - 1.0).abs() < 1e-3),
+            "{read_in_steps:?}"
+        );
     }
 }
