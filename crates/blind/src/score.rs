@@ -59,6 +59,8 @@ pub struct Answered {
     pub truth: Truth,
     /// The answer.
     pub answer: Answer,
+    /// Whether something is left above the floor after calibration.
+    pub visible: bool,
     /// Gap by signal of the emitted plant, measured again; `None` where it was not.
     pub measured: Option<BTreeMap<String, f64>>,
 }
@@ -118,16 +120,16 @@ const BINS: usize = 10;
 pub fn score(answers: &[Answered]) -> Scores {
     let of = |set: Set| answers.iter().filter(move |answered| answered.truth.set == set);
     let singles: Vec<&Answered> = of(Set::Single).collect();
-    let visible: Vec<&Answered> = singles.iter().copied().filter(|a| a.answer.visible()).collect();
-    let invisible: Vec<&Answered> = singles.iter().copied().filter(|a| !a.answer.visible()).collect();
-    let pairs: Vec<&Answered> = of(Set::Pair).filter(|a| a.answer.visible()).collect();
+    let visible: Vec<&Answered> = singles.iter().copied().filter(|a| a.visible).collect();
+    let invisible: Vec<&Answered> = singles.iter().copied().filter(|a| !a.visible).collect();
+    let pairs: Vec<&Answered> = of(Set::Pair).filter(|a| a.visible).collect();
     let both = |a: &Answered| a.truth.effects.keys().all(|key| a.chosen(key));
     let both_visible: Vec<&Answered> =
         pairs.iter().copied().filter(|a| both(a) || a.answer.leaves_something()).collect();
     let alarms = |set: Set| share(&of(set).collect::<Vec<_>>(), |a| a.answer.called());
     let outside: Vec<f64> = answers
         .iter()
-        .filter(|a| matches!(a.truth.set, Set::LeftOut | Set::Foreign) && a.answer.visible())
+        .filter(|a| matches!(a.truth.set, Set::LeftOut | Set::Foreign) && a.visible)
         .map(|a| a.answer.unknown_probability)
         .collect();
     let inside: Vec<f64> = visible.iter().map(|a| a.answer.unknown_probability).collect();
@@ -234,8 +236,8 @@ fn calibration(answers: &[Answered]) -> [f64; 3] {
 }
 
 impl Answer {
-    /// Whether something is left above the floor after calibration.
-    fn visible(&self) -> bool {
+    /// Whether something is left above the floor after calibration, by the answer itself.
+    pub fn visible(&self) -> bool {
         self.is_above_floors(&self.gap.calibrated) || self.gap.calibrated.is_empty()
     }
 
@@ -303,7 +305,7 @@ impl Answered {
 
     /// Whether the most likely explanation is right.
     fn right(&self) -> bool {
-        let visible = self.answer.visible();
+        let visible = self.visible;
         match (self.confidence().0, self.truth.set) {
             (Explanation::Effect(effect), Set::Single | Set::Pair) => self.is(effect),
             (Explanation::Unknown, Set::LeftOut | Set::Foreign) => true,

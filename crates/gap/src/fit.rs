@@ -116,11 +116,25 @@ impl Free {
 
     /// The coordinate of a machine's value.
     pub(crate) fn read<A: SimulatedAxis>(&self, spec: &A) -> f64 {
-        let value = match &self.target {
+        coordinate(self.scale, self.value_on(spec)).clamp(self.low, self.high)
+    }
+
+    /// A machine's value, SI.
+    pub(crate) fn value_on<A: SimulatedAxis>(&self, spec: &A) -> f64 {
+        match &self.target {
             Target::Plant(parameter) => spec.parameter(&parameter.key),
             Target::Effect(effect, index) => values_of(effect, spec)[*index],
-        };
-        coordinate(self.scale, value).clamp(self.low, self.high)
+        }
+    }
+
+    /// Least and largest value, SI.
+    pub(crate) fn bounds(&self) -> (f64, f64) {
+        (self.value(self.low), self.value(self.high))
+    }
+
+    /// Gives a machine a value, SI, held within the bounds.
+    pub(crate) fn write_value<A: SimulatedAxis>(&self, value: f64, spec: &mut A) {
+        self.write(coordinate(self.scale, value).max(self.low).min(self.high), spec);
     }
 
     /// The value at a coordinate.
@@ -251,6 +265,11 @@ impl<'r> Problem<'r> {
         }
         rows.iter_mut().for_each(|row| self.allow_for_sensors(row));
         rows.into_iter().map(DVector::from_vec).collect()
+    }
+
+    /// What the log shows along each drive.
+    pub(crate) fn shown(&self) -> &[BinnedSignals] {
+        &self.shown
     }
 
     /// The drives along which machines are compared.

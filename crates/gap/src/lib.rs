@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 
 pub mod calibration;
+pub mod calibration_problem;
 pub mod course;
 pub mod diagnosable;
 pub mod diagnosis;
@@ -27,6 +28,7 @@ pub mod simulated_axis;
 pub mod transducers;
 
 pub use calibration::{Calibration, CalibrationSettings, Known, calibrate};
+pub use calibration_problem::{CalibrationProblem, FreeParameter, NoSuchParameter, ParameterValues};
 pub use diagnosable::Diagnosable;
 pub use diagnosis::{DiagnosisSettings, cannot_tell, diagnose, nominal_gap};
 pub use posterior::Posterior;

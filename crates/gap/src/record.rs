@@ -31,6 +31,14 @@ impl Log {
         Some(self.values[signal as usize].as_slice()).filter(|values| !values.is_empty())
     }
 
+    /// The log as one who sees these signals alone has it.
+    pub fn with_only(mut self, signals: &[Signal]) -> Self {
+        for signal in Signal::ALL.into_iter().filter(|signal| !signals.contains(signal)) {
+            self.values[signal as usize].clear();
+        }
+        self
+    }
+
     /// Ticks.
     pub fn len(&self) -> usize {
         self.values.iter().map(Vec::len).max().unwrap_or(0)

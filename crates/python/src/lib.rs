@@ -4,6 +4,7 @@
 //! What a command of the program does is done here by the command's own code, so that both give the same bits and the same errors. The
 //! Python half (`python/seepd`) has names, types and documentation; this half has the work, with the interpreter's lock released.
 
+mod calibration_problem;
 mod commands;
 mod cycles;
 mod error;
@@ -20,6 +21,8 @@ use pyo3::prelude::*;
 mod _core {
     use super::*;
 
+    #[pymodule_export]
+    use super::calibration_problem::CalibrationProblem;
     #[pymodule_export]
     use super::commands::{diagnose, effects, evaluate, learn_baseline, main, simulate_share, train};
     #[pymodule_export]

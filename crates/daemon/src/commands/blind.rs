@@ -104,6 +104,10 @@ struct ScoreArguments {
     /// Folder with the logs, to measure claimed gaps again with the emitted plants
     #[arg(long, value_name = "DIR")]
     logs: Option<PathBuf>,
+    /// Folder with answers whose calibration says which causes are visible, so that methods can be compared [default: the answers
+    /// themselves]
+    #[arg(long, value_name = "DIR")]
+    visible_by: Option<PathBuf>,
     /// Write the scores as JSON; `-`: to standard output, instead of the table
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -134,15 +138,10 @@ impl View {
     }
 
     fn of(self, log: &Log) -> Log {
-        let mut seen = log.clone();
-        if self == View::Command {
-            for signal in Signal::ALL {
-                if !matches!(signal, Signal::Command | Signal::Position) {
-                    seen.values[signal as usize].clear();
-                }
-            }
+        match self {
+            View::Pressures => log.clone(),
+            View::Command => log.clone().with_only(&[Signal::Command, Signal::Position]),
         }
-        seen
     }
 }
 
@@ -300,15 +299,20 @@ fn tell_scores(arguments: &ScoreArguments) -> Result<Outcome, Failure> {
     for view in View::ALL {
         let mut answers = Vec::new();
         for (case, truth) in &truths {
-            let path = arguments.answers.join(format!("{case}.{}.json", view.name()));
+            let file = format!("{case}.{}.json", view.name());
+            let path = arguments.answers.join(&file);
             if !path.exists() {
                 continue;
             }
             let answer: Answer = read_json(&path)?;
+            let visible = match &arguments.visible_by {
+                Some(others) => read_json::<Answer>(&others.join(&file))?.visible(),
+                None => answer.visible(),
+            };
             let plant = arguments.answers.join(format!("{case}.{}.toml", view.name()));
             let measured =
                 arguments.logs.as_ref().map(|logs| measured(logs, case, view, &plant)).transpose()?.flatten();
-            answers.push(Answered { case: case.clone(), truth: truth.clone(), answer, measured });
+            answers.push(Answered { case: case.clone(), truth: truth.clone(), answer, visible, measured });
         }
         if !answers.is_empty() {
             scores.insert(view.name(), score(&answers));

@@ -7,7 +7,8 @@ use std::time::Instant;
 use clap::{Args, Subcommand};
 use seepd_gap::report::{Diagnosis, Verdict};
 use seepd_gap::{
-    Diagnosable, DiagnosisSettings, Log, Record, RecordError, Run, SimulatedAxis, cannot_tell, diagnose,
+    CalibrationProblem, Diagnosable, DiagnosisSettings, Log, Record, RecordError, Run, SimulatedAxis,
+    cannot_tell, diagnose,
 };
 use seepd_logs::open;
 use seepd_monitor::event::LPM_PER_M3_PER_S;
@@ -196,6 +197,28 @@ pub fn diagnosed<T>(
     };
     diagnosed.diagnosis.seconds = start.elapsed().as_secs_f64();
     Ok((diagnosed, path, begun))
+}
+
+/// The least-squares problem that a log and a press are, for methods of others. Without `signals` all that the log has are compared.
+///
+/// # Errors
+/// [`Failure`] for plant, configuration or log, and for what is no press with a controller.
+pub fn calibration_problem(
+    arguments: &GapArguments,
+    signals: Option<&[Signal]>,
+) -> Result<CalibrationProblem<MachineSpec>, Failure> {
+    let [path] = arguments.logs.as_slice() else {
+        return Err(Failure::new(Code::Usage, "a calibration problem is of one log; name one"));
+    };
+    let spec = read_plant(arguments.plant.as_deref())?;
+    let (log, _) = read(path, &arguments.mapping.load()?, &spec)?;
+    let log = match signals {
+        Some(signals) => log.with_only(signals),
+        None => log,
+    };
+    let record = Record::new(&log, &spec)
+        .map_err(|error| Failure::data(format!("{}: {error}", seepd_logs::log_name(path))))?;
+    Ok(CalibrationProblem::new(record, spec, &arguments.without))
 }
 
 /// The electric axis of a plant file, if it is one.

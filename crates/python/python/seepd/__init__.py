@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from . import _core
 from ._words import PathLike, paths, words
+from .calibration import CalibrationProblem, FreeParameter
 from .diagnosis import Diagnosis
 from .errors import (
     ConfigurationError,
@@ -41,10 +42,12 @@ __version__ = _core.__version__
 
 __all__ = [
     "Baseline",
+    "CalibrationProblem",
     "ConfigurationError",
     "Cycles",
     "DataError",
     "Diagnosis",
+    "FreeParameter",
     "InternalError",
     "IoError",
     "Model",

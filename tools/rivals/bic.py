@@ -1,0 +1,40 @@
+"""Each effect of the catalogue fitted by itself beside calibration; the Bayesian information criterion says which.
+
+Schwarz, The Annals of Statistics 6 (1978). A machine with an effect costs ln(n) for each of its parameters; n are the independent values
+that the likelihood counts.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from answers import Basis, Opinion, unexplained
+from solver import VALUES_A_SIGNAL, effects, with_effect
+
+#: For each effect.
+JACOBIANS, STARTS = 12, 24
+
+
+def opinion(basis: Basis) -> Opinion:
+    problem = basis.problem
+    values = VALUES_A_SIGNAL * len(problem.signals)
+    fits = {
+        effect: with_effect(problem, basis.calibrated, keys, JACOBIANS, STARTS)
+        for effect, keys in effects(problem).items()
+    }
+    criterion = {effect: fits[effect].cost + len(keys) * math.log(values) for effect, keys in effects(problem).items()}
+    least = min(basis.calibrated.cost, *criterion.values())
+    weights = {effect: float(np.exp(-0.5 * (value - least))) for effect, value in criterion.items()}
+    none = float(np.exp(-0.5 * (basis.calibrated.cost - least)))
+    best = max(weights, key=lambda effect: weights[effect])
+    unknown = unexplained(min(basis.calibrated.misfit, fits[best].misfit))
+    scale = (1.0 - unknown) / (none + sum(weights.values()))
+    called = weights[best] > none
+    return Opinion(
+        effects={effect: scale * weight for effect, weight in weights.items()},
+        none=scale * none,
+        unknown=unknown,
+        chosen=fits[best] if called else None,
+        called=(best,) if called else (),
+    )
