@@ -7,7 +7,7 @@ use std::process::Command;
 
 use crate::support::{fixture, python, seepd, simulate, stderr, stdout};
 use seepd_sim::MachineSpec;
-use seepd_sim::cycle::{DriveSample, OpenLoopTick, Schedule};
+use seepd_sim::cycle::{DriveSample, Schedule};
 use seepd_sim::electric::ElectricAxis;
 use seepd_sim::machine::{Input, Machine};
 use serde_json::Value;
@@ -70,14 +70,10 @@ fn reference_fmpy_simulates_the_press_to_our_numbers() {
     (spec.plant.leak_area_m2, spec.plant.mass_kg) = (3e-7, 300.0);
     let spec = spec.with_stable_steps();
     let machine = Machine::<f64>::new(&[&spec]);
-    let input = |tick: usize| Input {
-        demand: spec.cycle.demand_m(tick as f64 * 1e-3),
-        load: -1500.0,
-        load_end: -1500.0,
-        a_leak: 3e-7,
-        at: tick as f64 * 1e-3,
-        command: 0.0,
-        open_loop: OpenLoopTick::default(),
+    let input = |tick: usize| {
+        let at_s = tick as f64 * 1e-3;
+        let sample = DriveSample::new(at_s, spec.cycle.demand_m(at_s), -1500.0);
+        Input::from(DriveSample { leak_area_m2: 3e-7, ..sample })
     };
     let mut state = machine.start_at(&input(0));
     let ours: Vec<_> = (0..=TICKS).map(|tick| machine.tick(&mut state, &input(tick))).collect();

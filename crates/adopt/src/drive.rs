@@ -7,7 +7,7 @@
 
 use seepd_gap::SimulatedAxis;
 use seepd_sim::batch::follow;
-use seepd_sim::cycle::{DriveSample, LoadCorner, Move, OpenLoop, OpenLoopTick, load_at};
+use seepd_sim::cycle::{DriveSample, LoadCorner, Move, OpenLoop, load_at};
 use seepd_sim::opening::SteadyOpening;
 use seepd_sim::{DutyCycle, MachineSpec, Steps};
 
@@ -195,14 +195,8 @@ fn simulated_command(spec: &MachineSpec, demand: &[f64], load_n: &[f64]) -> Vec<
 
 fn drive_of(demand: &[f64], load_n: &[f64], tick_s: f64) -> Vec<DriveSample> {
     let of = |tick: usize| DriveSample {
-        run: 0,
-        at_s: tick as f64 * tick_s,
-        demand_m: demand[tick],
-        command: 0.0,
-        load_n: load_n[tick],
         load_end_n: load_n[(tick + 1) % load_n.len()],
-        leak_area_m2: 0.0,
-        open_loop: OpenLoopTick::default(),
+        ..DriveSample::new(tick as f64 * tick_s, demand[tick], load_n[tick])
     };
     (0..demand.len()).map(of).collect()
 }

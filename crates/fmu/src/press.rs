@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use seepd_sim::cycle::OpenLoopTick;
+use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::{self, Effect};
 use seepd_sim::machine::{Input, Machine, MachineState};
 use seepd_sim::spec::refuse_open_loop;
@@ -205,16 +205,10 @@ fn settings(
 
 impl Running {
     fn input(&self, places: &Places, values: &[f64], cycle_s: f64) -> Input<f64> {
-        let load = values[places.load];
-        Input {
-            demand: values[places.reference],
-            load,
-            load_end: load,
-            a_leak: values[places.leak].max(0.0),
-            at: self.time_s.rem_euclid(cycle_s),
-            command: 0.0,
-            open_loop: OpenLoopTick::default(),
-        }
+        let at_s = self.time_s.rem_euclid(cycle_s);
+        let leak_area_m2 = values[places.leak].max(0.0);
+        DriveSample { leak_area_m2, ..DriveSample::new(at_s, values[places.reference], values[places.load]) }
+            .into()
     }
 
     fn show(&self, places: &Places, values: &mut [f64]) {
@@ -233,18 +227,12 @@ impl Engine for PressEngine {
     fn initialise(&mut self, values: &mut [f64]) -> Result<(), ModelError> {
         let (spec, delay_s) = self.machine(values)?;
         let machine = Arc::new(Machine::<f64>::new(&[&spec]));
-        let start = Input {
-            demand: values[self.places.start_position].clamp(0.0, spec.plant.stroke_m),
-            load: values[self.places.load],
-            load_end: values[self.places.load],
-            a_leak: 0.0,
-            at: values[self.places.start_time].rem_euclid(self.spec.cycle.period_s),
-            command: 0.0,
-            open_loop: OpenLoopTick::default(),
-        };
+        let at_s = values[self.places.start_time].rem_euclid(self.spec.cycle.period_s);
+        let position_m = values[self.places.start_position].clamp(0.0, spec.plant.stroke_m);
+        let start = Input::from(DriveSample::new(at_s, position_m, values[self.places.load]));
         let mut state = machine.start_at(&start);
         let seen = machine.sense(&mut state);
-        let running = Running { machine, state, seen, delay_s, time_s: start.at };
+        let running = Running { machine, state, seen, delay_s, time_s: at_s };
         running.show(&self.places, values);
         if let Some(command) = self.places.command {
             values[command] = 0.0;

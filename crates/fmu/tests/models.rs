@@ -9,7 +9,7 @@ use seepd_fmu::{
     Causality, Kind, LibraryError, ModelError, Package, Placement, Platform, Resources, Simulation, Subject,
 };
 use seepd_sim::MachineSpec;
-use seepd_sim::cycle::OpenLoopTick;
+use seepd_sim::cycle::DriveSample;
 use seepd_sim::machine::{Input, Machine};
 
 fn press(placement: Placement, spec: &MachineSpec) -> Resources {
@@ -47,14 +47,10 @@ fn reference_the_press_with_its_controller_is_the_machine() {
     model.set(Kind::Real, load, -2000.0).unwrap();
     started(&mut model);
     let machine = Machine::<f64>::new(&[&spec]);
-    let input = |tick: u32| Input {
-        demand: spec.cycle.demand_m(f64::from(tick) * 1e-3),
-        load: -2000.0,
-        load_end: -2000.0,
-        a_leak: 3e-7,
-        at: f64::from(tick) * 1e-3,
-        command: 0.0,
-        open_loop: OpenLoopTick::default(),
+    let input = |tick: u32| {
+        let at_s = f64::from(tick) * 1e-3;
+        let sample = DriveSample::new(at_s, spec.cycle.demand_m(at_s), -2000.0);
+        Input::from(DriveSample { leak_area_m2: 3e-7, ..sample })
     };
     let mut state = machine.start_at(&input(0));
     // The leak may change between steps.

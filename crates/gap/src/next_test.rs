@@ -418,14 +418,9 @@ fn drive_of(cycle: &DutyCycle, tick_s: f64) -> Vec<DriveSample> {
         .map(|tick| {
             let at_s = tick as f64 * tick_s;
             DriveSample {
-                run: 0,
-                at_s,
-                demand_m: cycle.demand_m(at_s),
-                command: 0.0,
-                load_n: cycle.load_n(at_s),
                 load_end_n: cycle.load_n(at_s + tick_s),
-                leak_area_m2: 0.0,
                 open_loop: cycle.open_loop_at(at_s),
+                ..DriveSample::new(at_s, cycle.demand_m(at_s), cycle.load_n(at_s))
             }
         })
         .collect()

@@ -481,14 +481,9 @@ mod tests {
                 let at_s = (tick % ticks) as f64 * machine.controller.period_s;
                 let load_end_n = cycle.load_n(at_s + machine.controller.period_s);
                 DriveSample {
-                    run: 0,
-                    at_s,
-                    demand_m: cycle.demand_m(at_s),
-                    command: 0.0,
-                    load_n: cycle.load_n(at_s),
                     load_end_n,
-                    leak_area_m2: 0.0,
                     open_loop: cycle.open_loop_at(at_s),
+                    ..DriveSample::new(at_s, cycle.demand_m(at_s), cycle.load_n(at_s))
                 }
             })
             .collect();

@@ -611,17 +611,14 @@ fn cut<A: SimulatedAxis>(
         None => spec.duty_cycle().load_n((tick % ticks) as f64 * period_s),
     };
     let drive: Vec<DriveSample> = (0..ticks)
-        .map(|tick| DriveSample {
-            run: 0,
-            command: 0.0,
-            at_s: tick as f64 * period_s,
-            demand_m: demand
-                .as_ref()
-                .map_or_else(|| spec.duty_cycle().demand_m(tick as f64 * period_s), |d| d[tick]),
-            load_n: load_at(tick),
-            load_end_n: load_at(tick + 1),
-            leak_area_m2: 0.0,
-            open_loop: spec.duty_cycle().open_loop_at(tick as f64 * period_s),
+        .map(|tick| {
+            let at_s = tick as f64 * period_s;
+            let demand_m = demand.as_ref().map_or_else(|| spec.duty_cycle().demand_m(at_s), |d| d[tick]);
+            DriveSample {
+                load_end_n: load_at(tick + 1),
+                open_loop: spec.duty_cycle().open_loop_at(at_s),
+                ..DriveSample::new(at_s, demand_m, load_at(tick))
+            }
         })
         .collect();
     Some(RecordedCycle { bins, drive: Drive::from(drive), group: 0 })

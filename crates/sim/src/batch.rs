@@ -108,15 +108,13 @@ pub fn follow(
     let specs: Vec<&MachineSpec> = machines.iter().collect();
     let machine = Machine::<Lanes>::with_stepping(&specs, Stepping::of(&specs, steps));
     let a_leak = Lanes::from_lanes(|lane| specs[lane.min(specs.len() - 1)].plant.leak_area_m2);
-    let Some(first) = drive.first().map(|first| Input::gather(std::slice::from_ref(first))) else { return };
+    let Some(first) = drive.first().map(|first| Input::from(*first)) else { return };
     let mut state = start.map_or_else(|| machine.start_at(&first), |start| machine.start_from(start, &first));
     let mut block: Vec<SimulatedSignals<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     let mut inputs: Vec<Input<Lanes>> = Vec::with_capacity(BLOCK_TICKS);
     for (number, samples) in drive.chunks(BLOCK_TICKS).enumerate() {
         inputs.clear();
-        inputs.extend(
-            samples.iter().map(|sample| Input { a_leak, ..Input::gather(std::slice::from_ref(sample)) }),
-        );
+        inputs.extend(samples.iter().map(|sample| Input { a_leak, ..Input::from(*sample) }));
         tick_block(&machine, &mut state, &inputs, &mut block);
         for (offset, signals) in block.iter().enumerate() {
             sink(number * BLOCK_TICKS + offset, signals);

@@ -307,6 +307,22 @@ pub struct DriveSample {
     pub open_loop: OpenLoopTick<f64>,
 }
 
+impl DriveSample {
+    /// A controller that makes its own command is asked for a position under a load that stays; nothing leaks.
+    pub fn new(at_s: f64, demand_m: f64, load_n: f64) -> Self {
+        DriveSample {
+            run: 0,
+            at_s,
+            demand_m,
+            command: 0.0,
+            load_n,
+            load_end_n: load_n,
+            leak_area_m2: 0.0,
+            open_loop: OpenLoopTick::default(),
+        }
+    }
+}
+
 /// Where a run begins that no duty cycle precedes: at rest, with what is known of the chambers' pressures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RunStart {

@@ -51,6 +51,14 @@ impl<T: Real> Input<T> {
     }
 }
 
+impl<T: Real> From<DriveSample> for Input<T> {
+    /// The same drive for each lane.
+    #[inline(always)]
+    fn from(sample: DriveSample) -> Self {
+        Input::gather(&[sample])
+    }
+}
+
 /// The signals that a logger would see at a tick: the state there with the command just computed.
 #[derive(Debug, Clone, Copy)]
 pub struct SimulatedSignals<T> {

@@ -294,7 +294,7 @@ impl PortLoop {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cycle::{CycleRun, OpenLoopTick, Schedule};
+    use crate::cycle::{CycleRun, Schedule};
     use crate::machine::{Input, Machine};
     use crate::spec::MachineSpec;
 
@@ -320,20 +320,13 @@ mod tests {
         type Error = std::convert::Infallible;
 
         fn start(&mut self, first: &DriveSample) -> Result<PortOutput, Self::Error> {
-            self.state = Some(self.machine.start_at(&Input::gather(std::slice::from_ref(first))));
+            self.state = Some(self.machine.start_at(&Input::from(*first)));
             Ok(self.shown())
         }
 
         fn step(&mut self, input: &PortInput) -> Result<PortOutput, Self::Error> {
-            let held = Input {
-                demand: f64::NAN,
-                load: input.load_n,
-                load_end: input.load_n,
-                a_leak: 0.0,
-                at: 0.0,
-                command: 0.0,
-                open_loop: OpenLoopTick::default(),
-            };
+            // What is asked for is the reference of the run itself.
+            let held = Input::from(DriveSample::new(0.0, f64::NAN, input.load_n));
             if let Some(state) = &mut self.state {
                 self.machine.run(state, input.reference, &held);
             }
@@ -352,10 +345,8 @@ mod tests {
             Schedule::new(&nominal.cycle, 1e-3, vec![CycleRun::with_leak(0.0)]).take(10_000).collect();
         let native = Machine::<f64>::new(&[&planted]);
         let mut state = native.start_at(&Input::gather(&drive[..1]));
-        let native: Vec<f64> = drive
-            .iter()
-            .map(|sample| native.tick(&mut state, &Input::gather(std::slice::from_ref(sample))).command)
-            .collect();
+        let native: Vec<f64> =
+            drive.iter().map(|sample| native.tick(&mut state, &Input::from(*sample)).command).collect();
         let around = PortLoop::new(Some(&nominal.controller), 1e-3, |effect| planted.effect_values(effect));
         // One whose ticks are as long as the loop makes them.
         let mut ticks = nominal.clone();

@@ -271,22 +271,13 @@ fn analytic_chambers_of_a_piston_pressed_against_its_end_equalise_past_the_seal_
 /// A run begins with the pressures that are known; those that are not follow from the end at which the piston stands, or from the balance.
 #[test]
 fn analytic_a_run_begins_in_balance_or_against_an_end() {
-    use seepd_sim::cycle::{DriveSample, OpenLoopTick, RunStart};
+    use seepd_sim::cycle::{DriveSample, RunStart};
     let machine = MachineSpec::default();
     let p = &machine.plant;
-    let sample = DriveSample {
-        run: 0,
-        at_s: 0.0,
-        demand_m: f64::NAN,
-        command: 0.0,
-        load_n: -2000.0,
-        load_end_n: -2000.0,
-        leak_area_m2: 0.0,
-        open_loop: OpenLoopTick::default(),
-    };
+    let sample = DriveSample::new(0.0, f64::NAN, -2000.0);
     let begin = |position_m: f64, p_cap_pa: Option<f64>, p_rod_pa: Option<f64>| {
         let start = RunStart { position_m, p_cap_pa, p_rod_pa };
-        let state = Machine::<f64>::new(&[&machine]).start_from(&start, &Input::gather(&[sample])).plant;
+        let state = Machine::<f64>::new(&[&machine]).start_from(&start, &Input::from(sample)).plant;
         (state.p_1, state.p_2)
     };
     assert_eq!(begin(0.2, Some(3e6), Some(5e6)), (3e6, 5e6));

@@ -8,7 +8,7 @@ use seepd_gap::record::RecordedCycle;
 use seepd_gap::simulated_axis::{CalibratedParameter, EffectValues, Imbalances, Scale, SimulatedAxis};
 use seepd_signals::Signal;
 use seepd_sim::DutyCycle;
-use seepd_sim::cycle::{DriveSample, OpenLoopTick};
+use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::{self, EffectInfo, Equation, Parameter};
 use seepd_sim::ports::port_of;
 
@@ -51,18 +51,7 @@ impl SimulatorAxis {
         let drive: Vec<DriveSample> = (0..ticks)
             .map(|tick| {
                 let at_s = tick as f64 * period_s;
-                let load_n = self.spec.cycle.load_n(at_s);
-                let demand_m = self.spec.cycle.demand_m(at_s);
-                DriveSample {
-                    run: 0,
-                    at_s,
-                    demand_m,
-                    command: 0.0,
-                    load_n,
-                    load_end_n: load_n,
-                    leak_area_m2: 0.0,
-                    open_loop: OpenLoopTick::default(),
-                }
+                DriveSample::new(at_s, self.spec.cycle.demand_m(at_s), self.spec.cycle.load_n(at_s))
             })
             .collect();
         self.simulators.run(&self.spec, &drive, 0, &self.signals()).map(|_| ())

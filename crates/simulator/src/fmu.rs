@@ -17,7 +17,7 @@ use nix::sys::signal::Signal as ProcessSignal;
 use nix::unistd::{dup, dup2_stdout};
 use seepd_fmi::{Causality, Fmu, Instance, InstanceError, ModelDescription};
 use seepd_gap::record::binned;
-use seepd_sim::cycle::{DriveSample, OpenLoopTick};
+use seepd_sim::cycle::DriveSample;
 use seepd_sim::ports::{PortInput, PortOutput, SteppedPlant};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -276,16 +276,7 @@ impl HostedFmu {
     fn measured_latency(&mut self, spec: &SimulatorSpec) -> Result<usize, FmuError> {
         let at = spec.cycle.demand_m(0.0);
         let still = if spec.controller.is_some() { 0.0 } else { at };
-        let drive = DriveSample {
-            run: 0,
-            at_s: 0.0,
-            demand_m: at,
-            command: 0.0,
-            load_n: 0.0,
-            load_end_n: 0.0,
-            leak_area_m2: 0.0,
-            open_loop: OpenLoopTick::default(),
-        };
+        let drive = DriveSample::new(0.0, at, 0.0);
         let mut answers = Vec::new();
         for pulse in [0.0, PULSE] {
             self.start(&drive)?;
@@ -357,14 +348,8 @@ fn samples(drive: &HostedDrive, period_s: f64) -> Vec<DriveSample> {
     let ticks = drive.demand.iter().zip(&drive.load).zip(ends).enumerate();
     ticks
         .map(|(tick, ((demand_m, load_n), load_end_n))| DriveSample {
-            run: 0,
-            at_s: drive.start_s + tick as f64 * period_s,
-            demand_m: *demand_m,
-            command: 0.0,
-            load_n: *load_n,
             load_end_n: *load_end_n,
-            leak_area_m2: 0.0,
-            open_loop: OpenLoopTick::default(),
+            ..DriveSample::new(drive.start_s + tick as f64 * period_s, *demand_m, *load_n)
         })
         .collect()
 }
