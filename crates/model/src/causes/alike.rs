@@ -32,10 +32,15 @@ impl Causes {
         }
     }
 
+    /// Whether there is a cause that answers as a leak does.
+    pub(super) fn shares_by_priors(&self) -> bool {
+        self.cells.iter().any(is_other)
+    }
+
     /// Shares what the cells of the class have together, logarithms of weights, between leaks and the others by their priors, where the
     /// others have more than that. Gives the largest weight that comes of it.
     pub(super) fn share_by_priors(&self, alone: &mut [f64]) -> f64 {
-        if !self.cells.iter().any(is_other) {
+        if !self.shares_by_priors() {
             return f64::NEG_INFINITY;
         }
         let sum = |belongs: fn(&Cell) -> bool, log: &dyn Fn(usize) -> f64| {

@@ -51,26 +51,46 @@ pub(super) struct Fit {
     pub(super) log_likelihood: f64,
     /// Squared distance over the number of coordinates.
     pub(super) distance: f64,
-    /// Where along each direction the change lies, standard deviations: those of the first cell, then those of the second.
-    pub(super) along: [f64; MOST_DIRECTIONS],
-    /// Factor of the directions' precision, their number, and the variance of a coordinate that they leave.
+    /// Factor of the directions' precision, their number, the change along them before the factor's transpose is solved for, and the
+    /// variance of a coordinate that they leave.
     factor: Factor,
     rank: usize,
+    forward: [f64; MOST_DIRECTIONS],
     scale: f64,
 }
 
 impl Fit {
+    /// Where along each direction the change lies, standard deviations: those of the first cell, then those of the second.
+    pub(super) fn along(&self) -> [f64; MOST_DIRECTIONS] {
+        let mut along = self.forward;
+        solve_transposed(&self.factor, self.rank, &mut along);
+        along
+    }
+
     /// Size of each fitted cell's cause, cut to what training has simulated. Apart from the fit, since of hundreds of hypotheses few have
     /// any weight.
     pub(super) fn sizes(&self, cells: &[&Cell]) -> [Cut; 2] {
         let mut sizes = [Cut { log_share: 0.0, mean: 0.0, variance: 0.0 }; 2];
         let mut from = 0;
         for (slot, cell) in sizes.iter_mut().zip(cells) {
-            let uncut = size(cell, from, &self.along, (&self.factor, self.rank, self.scale));
+            let uncut = self.size(cell, from);
             *slot = cut(uncut, cell.simulated);
             from += cell.rank;
         }
         sizes
+    }
+
+    /// Size and variance of a cell's cause whose directions begin at `from`: loadings times what the precision's inverse makes of the change,
+    /// and of themselves; both are products of what the factor alone makes.
+    fn size(&self, cell: &Cell, from: usize) -> (f64, f64) {
+        let mut loadings = [0.0; MOST_DIRECTIONS];
+        for (slot, loading) in loadings.iter_mut().skip(from).zip(cell.loadings.iter().take(cell.rank)) {
+            *slot = *loading;
+        }
+        solve(&self.factor, self.rank, &mut loadings);
+        let moved: f64 = loadings.iter().zip(&self.forward).map(|(loading, along)| loading * along).sum();
+        let spread: f64 = loadings.iter().map(|loading| loading * loading).sum();
+        (cell.size + moved, self.scale * spread + cell.rest * cell.rest)
     }
 
     /// Logarithm of the likelihood with the sizes cut to what training has simulated.
@@ -252,29 +272,67 @@ impl Moments {
     /// Fits, in so many coordinates: half of all causes follow a law that training has simulated, half another. The likelier of both says
     /// the sizes.
     pub(super) fn fit(&self, n: usize) -> Fit {
-        let any = self.fit_with(n, self.scale);
+        self.fit_beside(n, &self.laid_out(self.scale))
+    }
+
+    /// The same, if the logarithm of the likelihood may reach `least`. Many hypotheses are so far off that their distance alone says no: no
+    /// variance is below 1, so that determinants take nothing less than 0 off, and under the larger of the two the change is nearest.
+    pub(super) fn fit_from(&self, n: usize, least: f64) -> Option<Fit> {
+        let any = self.laid_out(self.scale);
+        (-0.5 * any.square >= least).then(|| self.fit_beside(n, &any))
+    }
+
+    /// Fits, given what the change is under any law.
+    fn fit_beside(&self, n: usize, any: &LaidOut) -> Fit {
+        let any = any.fit(n, self.rank);
         if self.simulated >= self.scale {
             return any;
         }
-        let simulated = self.fit_with(n, self.simulated);
+        let simulated = self.laid_out(self.simulated).fit(n, self.rank);
         let (likelier, other) =
             if simulated.log_likelihood > any.log_likelihood { (simulated, any) } else { (any, simulated) };
         let both = 0.5 * (1.0 + libm::exp(other.log_likelihood - likelier.log_likelihood));
         Fit { log_likelihood: likelier.log_likelihood + libm::log(both), distance: any.distance, ..likelier }
     }
 
-    fn fit_with(&self, n: usize, scale: f64) -> Fit {
-        let Moments { square, mut along, products: mut factor, rank, .. } = *self;
+    fn laid_out(&self, scale: f64) -> LaidOut {
+        // Cells have two directions: a number that the compiler knows has its loops unrolled.
+        match self.rank {
+            2 => self.laid_out_in(2, scale),
+            rank => self.laid_out_in(rank, scale),
+        }
+    }
+
+    #[inline(always)]
+    fn laid_out_in(&self, rank: usize, scale: f64) -> LaidOut {
+        let Moments { square, along: mut forward, products: mut factor, .. } = *self;
         for (i, row) in factor.iter_mut().enumerate().take(rank) {
             row[i] += scale;
         }
-        let log_determinant = cholesky(&mut factor, rank);
-        let projections = along;
-        solve(&factor, rank, &mut along);
-        let explained: f64 = projections.iter().zip(&along).map(|(a, b)| a * b).sum();
+        let root_of_determinant = cholesky(&mut factor, rank);
+        solve(&factor, rank, &mut forward);
+        let explained: f64 = forward.iter().take(rank).map(|value| value * value).sum();
         let square = (square - explained).max(0.0) / scale;
+        LaidOut { square, forward, factor, root_of_determinant, scale }
+    }
+}
+
+/// A change along directions that leave a variance.
+struct LaidOut {
+    /// Squared distance.
+    square: f64,
+    forward: [f64; MOST_DIRECTIONS],
+    factor: Factor,
+    root_of_determinant: f64,
+    scale: f64,
+}
+
+impl LaidOut {
+    fn fit(&self, n: usize, rank: usize) -> Fit {
+        let LaidOut { square, forward, factor, root_of_determinant, scale } = *self;
+        let log_determinant = 2.0 * libm::log(root_of_determinant);
         let log_likelihood = -0.5 * (square + (n - rank) as f64 * libm::log(scale) + log_determinant);
-        Fit { log_likelihood, distance: square / n as f64, along, factor, rank, scale }
+        Fit { log_likelihood, distance: square / n as f64, factor, rank, forward, scale }
     }
 }
 
@@ -283,48 +341,42 @@ const LEAST_VARIANCE: f64 = 1e-12;
 
 type Factor = [[f64; MOST_DIRECTIONS]; MOST_DIRECTIONS];
 
-/// Factors a positive definite matrix in place; the logarithm of its determinant.
+/// Factors a positive definite matrix in place, with the reciprocals of the factor's diagonal on its diagonal; the square root of its
+/// determinant.
+#[inline(always)]
 fn cholesky(matrix: &mut Factor, rank: usize) -> f64 {
     let mut root = 1.0;
     for i in 0..rank {
         for j in 0..=i {
             let inner: f64 = (0..j).map(|k| matrix[i][k] * matrix[j][k]).sum();
             let rest = matrix[i][j] - inner;
-            matrix[i][j] = if i == j { libm::sqrt(rest.max(f64::MIN_POSITIVE)) } else { rest / matrix[j][j] };
+            if i == j {
+                let diagonal = libm::sqrt(rest.max(f64::MIN_POSITIVE));
+                root *= diagonal;
+                matrix[i][i] = 1.0 / diagonal;
+            } else {
+                matrix[i][j] = rest * matrix[j][j];
+            }
         }
-        root *= matrix[i][i];
     }
-    2.0 * libm::log(root)
+    root
 }
 
-/// Solves `L Lᵀ x = b` in place.
+/// Solves `L x = b` in place.
+#[inline(always)]
 fn solve(factor: &Factor, rank: usize, x: &mut [f64; MOST_DIRECTIONS]) {
     for i in 0..rank {
         let inner: f64 = (0..i).map(|k| factor[i][k] * x[k]).sum();
-        x[i] = (x[i] - inner) / factor[i][i];
-    }
-    for i in (0..rank).rev() {
-        let inner: f64 = (i + 1..rank).map(|k| factor[k][i] * x[k]).sum();
-        x[i] = (x[i] - inner) / factor[i][i];
+        x[i] = (x[i] - inner) * factor[i][i];
     }
 }
 
-/// Size and variance of a cell's cause whose directions begin at `from`.
-fn size(
-    cell: &Cell,
-    from: usize,
-    along: &[f64; MOST_DIRECTIONS],
-    (factor, rank, scale): (&Factor, usize, f64),
-) -> (f64, f64) {
-    let mut loadings = [0.0; MOST_DIRECTIONS];
-    for (slot, loading) in loadings.iter_mut().skip(from).zip(cell.loadings.iter().take(cell.rank)) {
-        *slot = *loading;
+/// Solves `Lᵀ x = b` in place.
+fn solve_transposed(factor: &Factor, rank: usize, x: &mut [f64; MOST_DIRECTIONS]) {
+    for i in (0..rank).rev() {
+        let inner: f64 = (i + 1..rank).map(|k| factor[k][i] * x[k]).sum();
+        x[i] = (x[i] - inner) * factor[i][i];
     }
-    let moved: f64 = loadings.iter().zip(along).map(|(loading, along)| loading * along).sum();
-    let mut solved = loadings;
-    solve(factor, rank, &mut solved);
-    let spread: f64 = loadings.iter().zip(&solved).map(|(a, b)| a * b).sum();
-    (cell.size + moved, scale * spread + cell.rest * cell.rest)
 }
 
 #[cfg(test)]
@@ -353,7 +405,19 @@ mod tests {
     #[test]
     fn neutral_a_response_without_such_an_error_has_one_likelihood() {
         let of_one = moments(20.0, 4.0, 4.0);
-        assert_eq!(of_one.fit(4).log_likelihood, of_one.fit_with(4, 4.0).log_likelihood);
+        assert_eq!(of_one.fit(4).log_likelihood, of_one.laid_out(4.0).fit(4, 0).log_likelihood);
+    }
+
+    /// A bound that passes has the very fit; one that does not is above the likelihood.
+    #[test]
+    fn what_cannot_reach_a_bound_is_not_fitted() {
+        let one = moments(20.0, 9.0, 4.0);
+        let given = one.fit(4).log_likelihood;
+        // The distance under the larger variance: 20 over 9.
+        let bound = -10.0 / 9.0;
+        assert!(given < bound);
+        assert_eq!(one.fit_from(4, bound).unwrap().log_likelihood, given);
+        assert!(one.fit_from(4, bound + 1e-9).is_none());
     }
 
     /// Beside the directions that span a leak of any size nothing is left of one.

@@ -192,6 +192,11 @@ impl Causes {
 }
 
 impl Causes {
+    /// Logarithm of what a leak of a size has beforehand beside another cause.
+    fn leak_prior(&self) -> f64 {
+        self.leaks.first().map_or(f64::NEG_INFINITY, |leak| self.priors[*leak][1])
+    }
+
     /// Whether a cell's response adds to that of a leak. Under a dead band a leak answers in another way, and a valve of another shape
     /// would pass for both.
     fn adds_to_a_leak(&self, cell: &Cell) -> bool {
@@ -224,18 +229,24 @@ impl<'c, const N: usize> Weighed<'c, N> {
         let mut best = weighed.none;
         let mut tried = Tried::NONE;
         let leak = weighed.any_leak();
+        let (of_leak, shared) = (causes.leak_prior(), causes.shares_by_priors());
         for (index, (cell, [prior, beside])) in causes.cells.iter().zip(&causes.priors).enumerate() {
             let laid = causes.lay(&weighed.whitened, &[cell]);
-            let fit = laid.moments.fit(weighed.whitened.count);
-            let weight = weight(*prior, &fit, &[cell], best);
-            weighed.alone[index] = weight;
-            weighed.note(&mut best, weight, &fit);
+            let count = weighed.whitened.count;
+            // What is shared by priors counts whatever it has.
+            let least = if shared { f64::NEG_INFINITY } else { best + NEGLIGIBLE - prior };
+            if let Some(fit) = laid.moments.fit_from(count, least) {
+                let weight = weight(*prior, &fit, &[cell], best);
+                weighed.alone[index] = weight;
+                weighed.note(&mut best, weight, &fit);
+            }
             if let Some(AnyLeak { directions, error, left }) = leak.filter(|_| causes.adds_to_a_leak(cell)) {
-                let count = weighed.whitened.count as f64;
                 let scales = [cell.error * cell.error, cell.simulated_error_squared()]
-                    .map(|own| 1.0 + (error + own * left) / count);
-                let moments = laid.beside(&directions, scales);
-                tried.take(index, beside + moments.fit(weighed.whitened.count).log_likelihood);
+                    .map(|own| 1.0 + (error + own * left) / count as f64);
+                let least = best + WORTH_TRYING - of_leak - beside;
+                if let Some(fit) = laid.beside(&directions, scales).fit_from(count, least) {
+                    tried.take(index, beside + fit.log_likelihood);
+                }
             }
         }
         weighed.weigh_pairs(&tried, &mut best);
@@ -254,7 +265,7 @@ impl<'c, const N: usize> Weighed<'c, N> {
     /// Cells of other causes that do best whatever the seal does, each beside leaks, where such a pair can have any weight.
     fn weigh_pairs(&mut self, tried: &Tried, best: &mut f64) {
         let causes = self.causes;
-        let of_leak = causes.leaks.first().map_or(f64::NEG_INFINITY, |leak| causes.priors[*leak][1]);
+        let of_leak = causes.leak_prior();
         let mut place = causes.leaks.len() / 2;
         for (weight, other) in tried.0 {
             if weight + of_leak > *best + WORTH_TRYING {
@@ -405,7 +416,7 @@ impl<'c, const N: usize> Weighed<'c, N> {
             else {
                 return;
             };
-            let along = causes.fit(&self.whitened, cells).along;
+            let along = causes.fit(&self.whitened, cells).along();
             let from = cells.first().filter(|_| beside).map_or(0, |seal| seal.rank);
             total += weight;
             for (slot, mean) in sum.iter_mut().zip(causes.mean_of(cell)) {
