@@ -385,6 +385,29 @@ fn the_blind_check_plants_diagnoses_and_scores() {
     // What was claimed is what the emitted plant gives.
     let error = scores["pressures"]["claimed_gap_error"].as_f64().unwrap();
     assert!(error < 1e-3, "{scores}");
+    // Another method's calibration may say what is visible: here it finds all of the gap, and none of it.
+    let others = of("others");
+    fs::create_dir(&others).unwrap();
+    for (left, visible) in [(1.0, 1), (0.0, 0)] {
+        for view in ["pressures", "command"] {
+            let name = format!("case-001.{view}.json");
+            let mut answer: Value =
+                serde_json::from_str(&fs::read_to_string(answers.join(&name)).unwrap()).unwrap();
+            answer["gap"]["retuned"].as_object_mut().unwrap().values_mut().for_each(|gap| *gap = left.into());
+            fs::write(others.join(&name), answer.to_string()).unwrap();
+        }
+        let alike = ["--visible-by", text_of(&others), "--json", "-"];
+        let scores: Value =
+            serde_json::from_str(&stdout(&blind("score", &[&scored[..4], &alike].concat()))).unwrap();
+        assert_eq!(scores["pressures"]["visible"], serde_json::json!([visible, 1]));
+    }
+    fs::remove_file(others.join("case-001.command.json")).unwrap();
+    let lacking = blind("score", &[&scored[..4], &["--visible-by", text_of(&others)]].concat());
+    assert!(
+        lacking.status.code() == Some(66) && stderr(&lacking).contains("case-001.command.json"),
+        "{}",
+        stderr(&lacking)
+    );
     let nothing = blind("score", &["--truth", text_of(&truth), "--answers", text_of(&logs)]);
     assert!(
         nothing.status.code() == Some(65) && stderr(&nothing).contains("has no answers"),
