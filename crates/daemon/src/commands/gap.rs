@@ -98,7 +98,7 @@ enum Other {
     /// Simulate recorded commands of a machine without a controller, and hold what they did against it
     Predict(Box<PredictArguments>),
     /// Check the diagnosis on logs whose cause is withheld from it
-    Blind(BlindArguments),
+    Blind(Box<BlindArguments>),
 }
 
 impl GapArguments {
