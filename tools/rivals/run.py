@@ -71,10 +71,10 @@ def answer_case(logs: Path, answers: Path, case: str, view: str, without: str, r
     for rival in rivals:
         begin = time.process_time()
         opinion = RIVALS[rival](basis)
-        told = answer(basis, opinion, shared + time.process_time() - begin)
+        said = answer(basis, opinion, shared + time.process_time() - begin)
         path = path_of(answers, rival, case, view)
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(told, indent=2) + "\n")
+        path.write_text(json.dumps(said, indent=2) + "\n")
 
 
 def answer_all(options: argparse.Namespace) -> int:
@@ -107,7 +107,9 @@ def answer_all(options: argparse.Namespace) -> int:
 
 def scores(options: argparse.Namespace, rival: str) -> dict[str, dict]:
     command = [
-        options.seepd,
+        sys.executable,
+        "-m",
+        "seepd",
         "gap",
         "blind",
         "score",
@@ -122,8 +124,13 @@ def scores(options: argparse.Namespace, rival: str) -> dict[str, dict]:
         "--visible-by",
         options.answers / DIAGNOSIS,
     ]
-    told = subprocess.run(list(map(str, command)), check=True, stdout=subprocess.PIPE)
-    return json.loads(told.stdout)
+    scored = subprocess.run(list(map(str, command)), check=True, stdout=subprocess.PIPE)
+    return json.loads(scored.stdout)
+
+
+def told(score: float | None, digits: int = 2) -> str:
+    """A score; a dash where there was no case for it."""
+    return "–" if score is None else f"{score:.{digits}f}"
 
 
 def table(options: argparse.Namespace) -> str:
@@ -138,12 +145,12 @@ def table(options: argparse.Namespace) -> str:
             if s is None:
                 continue
             cells = [
-                f"{s['top_1'] or 0.0:.2f}",
-                f"{s['pairs'][0] or 0.0:.2f}",
-                ", ".join(f"{share or 0.0:.2f}" for share in s["false_alarms"]),
-                f"{s['auroc_unknown'] or 0.0:.2f}",
-                f"{s['shrink'] or 0.0:.2f}",
-                f"{s['leak_error_lpm'][2] or 0.0:.3f}",
+                told(s["top_1"]),
+                told(s["pairs"][0]),
+                ", ".join(told(share) for share in s["false_alarms"]),
+                told(s["auroc_unknown"]),
+                told(s["shrink"]),
+                told(s["leak_error_lpm"][2], 3),
                 f"{s['seconds'][0]:.1f}, {s['seconds'][1]:.1f}",
             ]
             text += f"| {TITLES[rival]} | " + " | ".join(cells) + " |\n"
