@@ -1,6 +1,7 @@
 //! The gap as a least-squares problem, for solvers and methods beside this crate's own: the same record, simulator, priors and expected
 //! errors as a [diagnosis](crate::diagnose) has.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use seepd_sim::effects::EffectInfo;
@@ -40,9 +41,8 @@ pub type ParameterValues = BTreeMap<String, f64>;
 /// A record and a machine, whose parameters and effects are to be found.
 #[derive(Debug, Clone)]
 pub struct CalibrationProblem<A> {
-    record: Record,
     machine: A,
-    fitted: Vec<usize>,
+    problem: Problem<'static>,
     held_out: Vec<usize>,
     free: BTreeMap<String, Free>,
 }
@@ -73,12 +73,13 @@ impl<A: SimulatedAxis> CalibrationProblem<A> {
     /// The problem that a diagnosis of this record against this machine solves. Effects that `without` names are not in the catalogue.
     pub fn new(record: Record, machine: A, without: &[String]) -> Self {
         let (fitted, held_out) = split(&record);
+        let problem = Problem::of(Cow::Owned(record), &fitted);
         let known = |effect: &&'static EffectInfo| !without.iter().any(|left_out| left_out == effect.key);
         let effects = machine.catalogue().into_iter().filter(known);
         let effects: Vec<Free> = effects.flat_map(|effect| of_effect(effect, &machine)).collect();
         let free =
             free_parameters(&machine).into_iter().chain(effects).map(|free| (free.key(), free)).collect();
-        CalibrationProblem { record, machine, fitted, held_out, free }
+        CalibrationProblem { machine, problem, held_out, free }
     }
 
     /// Every parameter that may be fitted: what wear changes, the plant's, those of the effects in the catalogue.
@@ -88,7 +89,7 @@ impl<A: SimulatedAxis> CalibrationProblem<A> {
 
     /// The record.
     pub fn record(&self) -> &Record {
-        &self.record
+        &self.problem.record
     }
 
     /// The machine as it was given.
@@ -114,25 +115,25 @@ impl<A: SimulatedAxis> CalibrationProblem<A> {
     /// squares is minus twice the logarithm of the likelihood. What transducers are off by within their classes is taken off, as in a
     /// diagnosis. Two cycles in three are compared, along their mean drive, or along two of them where drives differ.
     pub fn residuals(&self, machines: &[A]) -> Vec<Vec<f64>> {
-        let rows = Problem::new(&self.record, &self.fitted).residuals(machines);
+        let rows = self.problem.residuals(machines);
         rows.into_iter().map(|row| row.data.into()).collect()
     }
 
     /// RMS over range of the differences on the cycles that residuals leave out, one map a machine.
     pub fn held_out_gaps(&self, machines: &[A]) -> Vec<BTreeMap<&'static str, f64>> {
-        let gaps = HeldOut { record: &self.record, cycles: &self.held_out }.gaps(machines);
-        let names = || self.record.signals.iter().map(|signal| signal.name());
+        let gaps = HeldOut { record: self.record(), cycles: &self.held_out }.gaps(machines);
+        let names = || self.record().signals.iter().map(|signal| signal.name());
         gaps.into_iter().map(|gaps| names().zip(gaps).collect()).collect()
     }
 
     /// What drives the machines whose residuals are compared: demand and load, tick by tick.
-    pub fn drives(&self) -> Vec<Drive> {
-        Problem::new(&self.record, &self.fitted).drives().to_vec()
+    pub fn drives(&self) -> &[Drive] {
+        self.problem.drives()
     }
 
     /// What the log shows along each drive, by signal of the record and bin.
-    pub fn recorded(&self) -> Vec<BinnedSignals> {
-        Problem::new(&self.record, &self.fitted).shown().to_vec()
+    pub fn recorded(&self) -> &[BinnedSignals] {
+        self.problem.shown()
     }
 
     /// What machines show along each drive, those signals too that the log lacks: by drive and machine, signal of

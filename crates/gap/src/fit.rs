@@ -3,6 +3,8 @@
 //! Levenberg, Quarterly of Applied Mathematics 2 (1944); Marquardt, SIAM Journal 11 (1963). A library's solver would ask for one
 //! simulation at a time; here a Jacobian, and the steps of several dampings, are simulated side by side.
 
+use std::borrow::Cow;
+
 use nalgebra::{DMatrix, DVector};
 use seepd_signals::Signal;
 use seepd_sim::cycle::DriveSample;
@@ -182,9 +184,10 @@ impl Free {
 }
 
 /// What is fitted to: drives with what the machine showed along each.
+#[derive(Debug, Clone)]
 pub(crate) struct Problem<'r> {
     /// The record.
-    pub(crate) record: &'r Record,
+    pub(crate) record: Cow<'r, Record>,
     drives: Vec<Drive>,
     shown: Vec<BinnedSignals>,
     /// One over the expected error of each signal, with the square root of the share that a bin counts.
@@ -208,6 +211,12 @@ const RELAXED_ITERATIONS: usize = 4;
 impl<'r> Problem<'r> {
     /// A problem of some of the record's cycles.
     pub(crate) fn new(record: &'r Record, cycles: &[usize]) -> Self {
+        Problem::of(Cow::Borrowed(record), cycles)
+    }
+
+    /// The same of a record that may be the problem's own.
+    pub(crate) fn of(owned: Cow<'r, Record>, cycles: &[usize]) -> Self {
+        let record = &*owned;
         let groups: Vec<Vec<usize>> = if record.is_open_loop {
             record.by_group(cycles)
         } else if same_drive(record, cycles) {
@@ -241,7 +250,7 @@ impl<'r> Problem<'r> {
             shown.push(test.bins.clone());
         }
         let allowances = allowances(record, &shown, &weights);
-        Problem { record, drives, shown, weights, allowances, noise }
+        Problem { drives, shown, weights, allowances, noise, record: owned }
     }
 
     /// Weighted differences of simulation and record, one row a machine: by drive, signal, bin.

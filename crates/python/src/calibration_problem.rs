@@ -95,7 +95,7 @@ impl CalibrationProblem {
 
     /// What the log shows, by drive, signal and bin.
     fn recorded<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray3<f64>>> {
-        stacked(py, self.problem.recorded())
+        stacked(py, self.problem.recorded().to_vec())
     }
 
     /// What a machine shows, by drive, simulated signal and bin.

@@ -110,10 +110,13 @@ impl GapArguments {
             Failure::new(Code::Usage, "--also: the duty cycle of a simulator of yours cannot be changed here")
         })?;
         let (values, _) = read(log, config, &spec)?;
-        let record = Record::new(&values, &spec)
-            .map_err(|error| Failure::data(format!("{}: {error}", seepd_logs::log_name(log))))?;
-        Ok(Some(record))
+        record_named(log, &values, &spec).map(Some)
     }
+}
+
+/// The record of a log whose name a refusal says.
+fn record_named<A: PlantFile>(path: &Path, log: &Log, spec: &A) -> Result<Record, Failure> {
+    Record::new(log, spec).map_err(|error| Failure::data(format!("{}: {error}", seepd_logs::log_name(path))))
 }
 
 fn known_effect(key: &str) -> Result<String, String> {
@@ -216,8 +219,7 @@ pub fn calibration_problem(
         Some(signals) => log.with_only(signals),
         None => log,
     };
-    let record = Record::new(&log, &spec)
-        .map_err(|error| Failure::data(format!("{}: {error}", seepd_logs::log_name(path))))?;
+    let record = record_named(path, &log, &spec)?;
     Ok(CalibrationProblem::new(record, spec, &arguments.without))
 }
 

@@ -272,39 +272,39 @@ impl Moments {
     /// Fits, in so many coordinates: half of all causes follow a law that training has simulated, half another. The likelier of both says
     /// the sizes.
     pub(super) fn fit(&self, n: usize) -> Fit {
-        self.fit_beside(n, &self.laid_out(self.scale))
+        self.fit_beside(n, &self.projected(self.scale))
     }
 
     /// The same, if the logarithm of the likelihood may reach `least`. Many hypotheses are so far off that their distance alone says no: no
     /// variance is below 1, so that determinants take nothing less than 0 off, and under the larger of the two the change is nearest.
     pub(super) fn fit_from(&self, n: usize, least: f64) -> Option<Fit> {
-        let any = self.laid_out(self.scale);
+        let any = self.projected(self.scale);
         (-0.5 * any.square >= least).then(|| self.fit_beside(n, &any))
     }
 
     /// Fits, given what the change is under any law.
-    fn fit_beside(&self, n: usize, any: &LaidOut) -> Fit {
+    fn fit_beside(&self, n: usize, any: &Projected) -> Fit {
         let any = any.fit(n, self.rank);
         if self.simulated >= self.scale {
             return any;
         }
-        let simulated = self.laid_out(self.simulated).fit(n, self.rank);
+        let simulated = self.projected(self.simulated).fit(n, self.rank);
         let (likelier, other) =
             if simulated.log_likelihood > any.log_likelihood { (simulated, any) } else { (any, simulated) };
         let both = 0.5 * (1.0 + libm::exp(other.log_likelihood - likelier.log_likelihood));
         Fit { log_likelihood: likelier.log_likelihood + libm::log(both), distance: any.distance, ..likelier }
     }
 
-    fn laid_out(&self, scale: f64) -> LaidOut {
+    fn projected(&self, scale: f64) -> Projected {
         // Cells have two directions: a number that the compiler knows has its loops unrolled.
         match self.rank {
-            2 => self.laid_out_in(2, scale),
-            rank => self.laid_out_in(rank, scale),
+            2 => self.projected_in(2, scale),
+            rank => self.projected_in(rank, scale),
         }
     }
 
     #[inline(always)]
-    fn laid_out_in(&self, rank: usize, scale: f64) -> LaidOut {
+    fn projected_in(&self, rank: usize, scale: f64) -> Projected {
         let Moments { square, along: mut forward, products: mut factor, .. } = *self;
         for (i, row) in factor.iter_mut().enumerate().take(rank) {
             row[i] += scale;
@@ -313,12 +313,12 @@ impl Moments {
         solve(&factor, rank, &mut forward);
         let explained: f64 = forward.iter().take(rank).map(|value| value * value).sum();
         let square = (square - explained).max(0.0) / scale;
-        LaidOut { square, forward, factor, root_of_determinant, scale }
+        Projected { square, forward, factor, root_of_determinant, scale }
     }
 }
 
-/// A change along directions that leave a variance.
-struct LaidOut {
+/// A change on directions that leave a variance.
+struct Projected {
     /// Squared distance.
     square: f64,
     forward: [f64; MOST_DIRECTIONS],
@@ -327,9 +327,9 @@ struct LaidOut {
     scale: f64,
 }
 
-impl LaidOut {
+impl Projected {
     fn fit(&self, n: usize, rank: usize) -> Fit {
-        let LaidOut { square, forward, factor, root_of_determinant, scale } = *self;
+        let Projected { square, forward, factor, root_of_determinant, scale } = *self;
         let log_determinant = 2.0 * libm::log(root_of_determinant);
         let log_likelihood = -0.5 * (square + (n - rank) as f64 * libm::log(scale) + log_determinant);
         Fit { log_likelihood, distance: square / n as f64, factor, rank, forward, scale }
@@ -405,7 +405,7 @@ mod tests {
     #[test]
     fn neutral_a_response_without_such_an_error_has_one_likelihood() {
         let of_one = moments(20.0, 4.0, 4.0);
-        assert_eq!(of_one.fit(4).log_likelihood, of_one.laid_out(4.0).fit(4, 0).log_likelihood);
+        assert_eq!(of_one.fit(4).log_likelihood, of_one.projected(4.0).fit(4, 0).log_likelihood);
     }
 
     /// A bound that passes has the very fit; one that does not is above the likelihood.
