@@ -50,6 +50,19 @@ def unexplained(misfit: float) -> float:
     return max(0.0, 1.0 - 1.0 / max(misfit, 1e-9))
 
 
+def weighed(basis: Basis, weights: Mapping[str, float], none: float, named: tuple[str, Fit] | None) -> Opinion:
+    """An opinion from weights of effects and of none, beside what the better of calibration and the named effect leaves."""
+    unknown = unexplained(min([basis.calibrated.misfit, *([named[1].misfit] if named else [])]))
+    scale = (1.0 - unknown) / (none + sum(weights.values()))
+    return Opinion(
+        effects={effect: scale * weight for effect, weight in weights.items()},
+        none=scale * none,
+        unknown=unknown,
+        chosen=named[1] if named else None,
+        called=(named[0],) if named else (),
+    )
+
+
 def answer(basis: Basis, opinion: Opinion, seconds: float) -> dict[str, Any]:
     floor = basis.problem.floor
     chosen = opinion.chosen or basis.calibrated

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from answers import Basis, Opinion, unexplained
+from answers import Basis, Opinion, weighed
 from solver import VALUES_A_SIGNAL, effects, with_effect
 
 #: For each effect.
@@ -28,13 +28,4 @@ def opinion(basis: Basis) -> Opinion:
     weights = {effect: float(np.exp(-0.5 * (value - least))) for effect, value in criterion.items()}
     none = float(np.exp(-0.5 * (basis.calibrated.cost - least)))
     best = max(weights, key=lambda effect: weights[effect])
-    unknown = unexplained(min(basis.calibrated.misfit, fits[best].misfit))
-    scale = (1.0 - unknown) / (none + sum(weights.values()))
-    called = weights[best] > none
-    return Opinion(
-        effects={effect: scale * weight for effect, weight in weights.items()},
-        none=scale * none,
-        unknown=unknown,
-        chosen=fits[best] if called else None,
-        called=(best,) if called else (),
-    )
+    return weighed(basis, weights, none, (best, fits[best]) if weights[best] > none else None)

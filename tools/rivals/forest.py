@@ -8,7 +8,7 @@ Machine Learning 63 (2006)) sees. The named effect is then fitted once.
 from __future__ import annotations
 
 import numpy as np
-from answers import Basis, Opinion, unexplained
+from answers import Basis, Opinion, weighed
 from sklearn.decomposition import PCA
 from sklearn.ensemble import ExtraTreesClassifier
 from solver import (
@@ -16,6 +16,7 @@ from solver import (
     VALUES_A_SIGNAL,
     Coordinates,
     effects,
+    jacobian,
     plant_parameters,
     with_effect,
 )
@@ -51,29 +52,20 @@ def opinion(basis: Basis) -> Opinion:
     space = Coordinates(problem, plant_parameters(problem))
     moved = space.neighbours(basis.calibrated.values)
     rows = problem.residuals([basis.calibrated.values, *moved, *machines])
-    slopes = ((rows[1 : len(moved) + 1] - rows[0]) / space.steps(basis.calibrated.values)[:, None]).T
-    prior = space.prior_slopes()
+    slopes, prior = jacobian(rows[: len(moved) + 1], space, basis.calibrated.values), space.prior_slopes()
     taken = slopes @ np.linalg.solve(slopes.T @ slopes + prior.T @ prior + 1e-9 * np.eye(len(prior)), slopes.T)
     seen = rows[len(moved) + 1 :] - rows[0]
     seen = seen + draw.normal(size=seen.shape) * expected(rows.shape[1], problem)
-    of_log = -rows[:1]
-    seen, of_log = (np.arcsinh(row - row @ taken) for row in (seen, of_log))
+    seen, of_log = (np.arcsinh(row - row @ taken) for row in (seen, -rows[:1]))
     components = PCA(COMPONENTS, random_state=SEED).fit(seen)
     trees = ExtraTreesClassifier(TREES, random_state=SEED, min_samples_leaf=2).fit(components.transform(seen), names)
     shares = trees.predict_proba(components.transform(of_log))[0]
     said = {str(name): float(share) for name, share in zip(trees.classes_, shares, strict=True)}
     none = said.pop(NONE)
     best = max(said, key=lambda effect: said[effect])
-    called = said[best] > none
-    fitted = with_effect(problem, basis.calibrated, kinds[best], JACOBIANS, STARTS) if called else None
-    unknown = unexplained(min(basis.calibrated.misfit, fitted.misfit if fitted else np.inf))
-    return Opinion(
-        effects={effect: p * (1.0 - unknown) for effect, p in said.items()},
-        none=none * (1.0 - unknown),
-        unknown=unknown,
-        chosen=fitted,
-        called=(best,) if called else (),
-    )
+    if said[best] <= none:
+        return weighed(basis, said, none, None)
+    return weighed(basis, said, none, (best, with_effect(problem, basis.calibrated, kinds[best], JACOBIANS, STARTS)))
 
 
 def expected(length: int, problem) -> float:

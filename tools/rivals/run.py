@@ -86,14 +86,7 @@ def answer_all(options: argparse.Namespace) -> int:
             for view in options.view:
                 missing = [r for r in options.rival if not path_of(options.answers, r, case, view).exists()]
                 if missing:
-                    task = (
-                        options.logs,
-                        options.answers,
-                        case,
-                        view,
-                        left_out,
-                        missing,
-                    )
+                    task = (options.logs, options.answers, case, view, left_out, missing)
                     work[pool.submit(answer_case, *task)] = f"{case}.{view}"
         for done, future in enumerate(as_completed(work), 1):
             try:
@@ -106,24 +99,8 @@ def answer_all(options: argparse.Namespace) -> int:
 
 
 def scores(options: argparse.Namespace, rival: str) -> dict[str, dict]:
-    command = [
-        sys.executable,
-        "-m",
-        "seepd",
-        "gap",
-        "blind",
-        "score",
-        "--truth",
-        options.truth,
-        "--json",
-        "-",
-    ]
-    command += [
-        "--answers",
-        options.answers / rival,
-        "--visible-by",
-        options.answers / DIAGNOSIS,
-    ]
+    command = [sys.executable, "-m", "seepd", "gap", "blind", "score", "--json", "-", "--truth", options.truth]
+    command += ["--answers", options.answers / rival, "--visible-by", options.answers / DIAGNOSIS]
     scored = subprocess.run(list(map(str, command)), check=True, stdout=subprocess.PIPE)
     return json.loads(scored.stdout)
 

@@ -15,7 +15,7 @@ from collections import defaultdict
 import numpy as np
 import numpy.typing as npt
 import pysindy
-from answers import Basis, Opinion, unexplained
+from answers import Basis, Opinion, unexplained, weighed
 from solver import effects, with_effect
 
 Array = npt.NDArray[np.float64]
@@ -195,21 +195,11 @@ def opinion(basis: Basis) -> Opinion:
         for (effect, _), column, coefficient in zip(known, library.T, coefficients, strict=True):
             explained[effect] += float(coefficient**2) * rms(column) ** 2
         left.append(rms(rest - library @ coefficients) ** 2)
-    unknown = unexplained(basis.calibrated.misfit)
-    total = sum(explained.values()) + sum(left)
     best = max(explained, key=lambda effect: explained[effect], default=None)
-    called = best is not None and explained[best] > 0.0 and unknown > 0.0
-    fitted = with_effect(basis.problem, basis.calibrated, catalogue[best], JACOBIANS, STARTS) if called else None
-    if fitted is not None:
-        unknown = unexplained(min(basis.calibrated.misfit, fitted.misfit))
-    share = {effect: value / total * (1.0 - unknown) for effect, value in explained.items()}
-    return Opinion(
-        effects=share,
-        none=max(0.0, 1.0 - unknown - sum(share.values())),
-        unknown=unknown,
-        chosen=fitted,
-        called=(best,) if called else (),
-    )
+    if best is None or explained[best] == 0.0 or unexplained(basis.calibrated.misfit) == 0.0:
+        return weighed(basis, explained, sum(left), None)
+    fitted = with_effect(problem, basis.calibrated, catalogue[best], JACOBIANS, STARTS)
+    return weighed(basis, explained, sum(left), (best, fitted))
 
 
 def rms(values: Array) -> float:

@@ -99,6 +99,17 @@ def effects(problem: CalibrationProblem) -> dict[str, list[str]]:
     return keys
 
 
+def jacobian(rows: npt.NDArray[np.float64], space: Coordinates, values: Values) -> npt.NDArray[np.float64]:
+    """Derivatives by each coordinate, of the rows of a machine and of its neighbours."""
+    return ((rows[1:] - rows[0]) / space.steps(values)[:, None]).T
+
+
+def best_of(problem: CalibrationProblem, machines: list[Values]) -> Values:
+    """The machine that is nearest to the log."""
+    squares = np.sum(problem.residuals(machines) ** 2, axis=1)
+    return machines[int(np.argmin(squares))]
+
+
 def fit(problem: CalibrationProblem, keys: Sequence[str], start: Values, jacobians: int) -> Fit:
     """Fits by a trust region within bounds, with so many Jacobians at most, which are simulated side by side."""
     held = {key: value for key, value in start.items() if key not in keys}
@@ -113,12 +124,7 @@ def fit(problem: CalibrationProblem, keys: Sequence[str], start: Values, jacobia
     def slopes(at):
         here = machine(at)
         rows = problem.residuals([here, *space.neighbours(here)])
-        return np.vstack(
-            [
-                ((rows[1:] - rows[0]) / space.steps(here)[:, None]).T,
-                space.prior_slopes(),
-            ]
-        )
+        return np.vstack([jacobian(rows, space, here), space.prior_slopes()])
 
     at = space.read(start)
     inside = np.clip(at, space.low + 1e-9, space.high - 1e-9)
@@ -138,9 +144,7 @@ def fit(problem: CalibrationProblem, keys: Sequence[str], start: Values, jacobia
 
 def with_wear(problem: CalibrationProblem) -> Fit:
     """The nominal machine with the leak that suits best."""
-    machines = [{WEAR: leak} for leak in LEAKS_M2]
-    squares = np.sum(problem.residuals(machines) ** 2, axis=1)
-    return fit(problem, [WEAR], machines[int(np.argmin(squares))], 10)
+    return fit(problem, [WEAR], best_of(problem, [{WEAR: leak} for leak in LEAKS_M2]), 10)
 
 
 def calibrated(problem: CalibrationProblem, wear: Fit, jacobians: int) -> Fit:
@@ -160,10 +164,4 @@ def with_effect(
     # More of them small: half of the draws go by their square.
     drawn[::2] **= 2
     machines = [base.values | space.values(space.low + (space.high - space.low) * row) for row in drawn]
-    squares = np.sum(problem.residuals(machines) ** 2, axis=1)
-    return fit(
-        problem,
-        [*plant_parameters(problem), *keys],
-        machines[int(np.argmin(squares))],
-        jacobians,
-    )
+    return fit(problem, [*plant_parameters(problem), *keys], best_of(problem, machines), jacobians)
