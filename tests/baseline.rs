@@ -10,7 +10,7 @@ use crate::support::{estimates, reasons, seepd, simulate, stderr, stdout, summar
 
 /// A folder with the baselines of two machines: the nominal one, and one with dry friction and a valve that is off its null.
 struct Place {
-    folder: tempfile::TempDir,
+    folder: PathBuf,
 }
 
 const FAULTY_VALVE: [&str; 4] =
@@ -18,7 +18,7 @@ const FAULTY_VALVE: [&str; 4] =
 const NOISY: [&str; 4] = ["--noise", "0.003", "--load-variation", "0.05"];
 
 static PLACE: LazyLock<Place> = LazyLock::new(|| {
-    let place = Place { folder: tempfile::tempdir().unwrap() };
+    let place = Place { folder: crate::support::shared_folder("baseline") };
     for (name, more) in [("nominal", &[][..]), ("faulty", &FAULTY_VALVE[..])] {
         let log = place.log(name, &[&["--cycles", "30"], more].concat());
         stdout(&learn(&place.baseline(name), &[&log], &[]));
@@ -28,7 +28,7 @@ static PLACE: LazyLock<Place> = LazyLock::new(|| {
 
 impl Place {
     fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
+        self.folder.join(name)
     }
 
     fn baseline(&self, name: &str) -> PathBuf {

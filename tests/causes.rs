@@ -16,11 +16,11 @@ const LPM_M2: f64 = 1.9e-7;
 
 /// A folder with the machine's baseline of 60 healthy cycles.
 struct Place {
-    folder: tempfile::TempDir,
+    folder: PathBuf,
 }
 
 static PLACE: LazyLock<Place> = LazyLock::new(|| {
-    let place = Place { folder: tempfile::tempdir().unwrap() };
+    let place = Place { folder: crate::support::shared_folder("causes") };
     let log = place.log("healthy", &["--cycles", "60", "--seed", "2"]);
     let baseline = place.baseline();
     stdout(&seepd(["learn-baseline", "--out", baseline.to_str().unwrap(), log.to_str().unwrap()]));
@@ -29,11 +29,11 @@ static PLACE: LazyLock<Place> = LazyLock::new(|| {
 
 impl Place {
     fn baseline(&self) -> PathBuf {
-        self.folder.path().join("baseline.json")
+        self.folder.join("baseline.json")
     }
 
     fn log(&self, name: &str, more: &[&str]) -> PathBuf {
-        let log = self.folder.path().join(format!("{name}.mcap"));
+        let log = self.folder.join(format!("{name}.mcap"));
         simulate(&log, &[&MACHINE, more].concat());
         log
     }

@@ -65,11 +65,11 @@ const SMALL_TRAINING: [&str; 12] = [
 
 /// Plants, models and a configuration with three duty cycles.
 struct Place {
-    folder: tempfile::TempDir,
+    folder: PathBuf,
 }
 
 static PLACE: LazyLock<Place> = LazyLock::new(|| {
-    let place = Place { folder: tempfile::tempdir().unwrap() };
+    let place = Place { folder: crate::support::shared_folder("duty_cycles") };
     fs::write(place.path("normal.json"), seepd::EMBEDDED_MODEL).unwrap();
     for (name, plant) in [("normal", ""), ("short", SHORT), ("light", LIGHT), ("setup", SETUP)] {
         fs::write(place.path(&format!("{name}.toml")), plant).unwrap();
@@ -97,7 +97,7 @@ fn part(plant: &'static str, cycles: usize, leak_area_m2: f64, seed: u32) -> Par
 
 impl Place {
     fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
+        self.folder.join(name)
     }
 
     fn configure(&self, file: &str, duty_cycles: &[&str], with_baselines: bool) {

@@ -28,7 +28,7 @@ BO_ 2565864481 AxisStatus: 8 PLC
 const ID: u32 = 2_565_864_481 & 0x1fff_ffff;
 /// A machine's log, and what it gives.
 struct Machine {
-    folder: tempfile::TempDir,
+    folder: PathBuf,
     /// Time since the beginning in µs, command, demand in m.
     rows: Vec<(u64, f64, f64)>,
     estimates: Vec<f64>,
@@ -38,10 +38,10 @@ impl Machine {
     fn get() -> &'static Self {
         static MACHINE: OnceLock<Machine> = OnceLock::new();
         MACHINE.get_or_init(|| {
-            let folder = tempfile::tempdir().unwrap();
-            let log = folder.path().join("machine.mcap");
+            let folder = crate::support::shared_folder("log_formats");
+            let log = folder.join("machine.mcap");
             simulate(&log, &["--cycles", "3", "--leak-area", "1e-6"]);
-            fs::write(folder.path().join("press.dbc"), DBC).unwrap();
+            fs::write(folder.join("press.dbc"), DBC).unwrap();
             let mut source = seepd_logs::open(&log, &LogMapping::default()).unwrap();
             let mut rows = Vec::new();
             while let Some(sample) = source.next_sample().unwrap() {
@@ -56,7 +56,7 @@ impl Machine {
     }
 
     fn place(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
+        self.folder.join(name)
     }
 
     fn write(&self, name: &str, content: impl AsRef<[u8]>) -> PathBuf {

@@ -10,12 +10,12 @@ use serde_json::Value;
 
 /// A folder with the logs of a healthy machine, of the same one later, and of the same one with a leak that began at its 20th cycle.
 struct Shop {
-    folder: tempfile::TempDir,
+    folder: PathBuf,
 }
 
 impl Shop {
     fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
+        self.folder.join(name)
     }
 
     fn text(&self, name: &str) -> String {
@@ -24,7 +24,7 @@ impl Shop {
 }
 
 static SHOP: LazyLock<Shop> = LazyLock::new(|| {
-    let shop = Shop { folder: tempfile::tempdir().unwrap() };
+    let shop = Shop { folder: crate::support::shared_folder("relative") };
     fs::write(shop.path("plant.toml"), OTHER_PRESS).unwrap();
     fs::write(shop.path("seepd.toml"), "axis = \"press\"\n[monitor]\nkind = \"relative\"\n").unwrap();
     let simulated = |name: &str, cycles: &str, more: &[&str]| {

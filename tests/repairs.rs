@@ -22,11 +22,11 @@ const CYCLES: &str = "16";
 const REPAIRED_AT: &str = "159.9 s";
 
 struct Place {
-    folder: tempfile::TempDir,
+    folder: PathBuf,
 }
 
 static PLACE: LazyLock<Place> = LazyLock::new(|| {
-    let place = Place { folder: tempfile::tempdir().unwrap() };
+    let place = Place { folder: crate::support::shared_folder("repairs") };
     let log = place.log("healthy", &["--cycles", "60", "--seed", "2"]);
     let baseline = place.path("baseline.json");
     stdout(&seepd(["learn-baseline", "--out", text_of(&baseline), text_of(&log)]));
@@ -45,7 +45,7 @@ fn text_of(path: &Path) -> &str {
 
 impl Place {
     fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
+        self.folder.join(name)
     }
 
     fn log(&self, name: &str, more: &[&str]) -> PathBuf {

@@ -30,6 +30,17 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures").join(name)
 }
 
+/// An empty folder that the tests of one file share. It belongs to a static, which is never dropped: a temporary folder would stay behind
+/// after each run, while this one is emptied by the next.
+pub(crate) fn shared_folder(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    if folder.exists() {
+        std::fs::remove_dir_all(&folder).expect("a folder of an earlier run");
+    }
+    std::fs::create_dir_all(&folder).expect("a folder for tests");
+    folder
+}
+
 /// Runs the program.
 pub(crate) fn seepd<A: AsRef<std::ffi::OsStr>>(arguments: impl IntoIterator<Item = A>) -> Output {
     Command::new(env!("CARGO_BIN_EXE_seepd"))
