@@ -307,6 +307,8 @@ fn value(effect: &str, parameter: &Parameter, index: usize, (share, anywhere, up
     match (effect, parameter.name) {
         // Above 0.5 1/s it never acts.
         ("valve_rate_limit", _) => 0.5 - 0.1 * share,
+        // Sharp edges; the other law has round ones.
+        ("valve_deadband", "rounding") => 0.0,
         // Strongest where they are lowest.
         ("valve_lag", "natural_frequency_hz") => high * (low / high).powf(share),
         ("structure_compliance", "stiffness_n_per_m") => high * (low / high).powf(share),

@@ -160,8 +160,9 @@ valve_deadband = { half_width = 0.04 }
         assert_eq!(
             set.additions,
             [
-                "to add to the model between controller and `u<1>`: spool = sign(u) · max(|u| − half_width, 0) (valve_deadband), \
-              with half_width = 0.04"
+                "to add to the model between controller and `u<1>`: spool = o(u) − o(−u), o(u) = ½ (b + √(b² + rounding²)) the opening \
+                 of a land, b = u − half_width; where edges are sharp: sign(u) · max(|u| − half_width, 0) (valve_deadband), with \
+                 half_width = 0.04"
             ]
         );
         let ssv = set.to_ssv("press & <3>");

@@ -1,49 +1,38 @@
-//! Valve dead band: overlapped spool lands, which pass nothing until the spool has travelled the overlap.
+//! Valve dead band: overlapped spool lands, which pass nothing until the spool has travelled the overlap, or little where their edges are
+//! round.
 
-use super::{Effect, EffectInfo, Equation, Law, Parameter, Substep, built_by};
-use crate::real::Real;
+use super::{Effect, EffectInfo, Equation, Parameter, built_by};
+use crate::effects::valve_overlap::{ROUNDING_SOURCE, RoundEdges};
 
 /// See the [module](self).
 pub(crate) struct ValveDeadband;
-
-/// Half the dead travel, share of full command.
-struct Deadband<T> {
-    half_width: T,
-}
-
-impl<T: Real> Deadband<T> {
-    fn new(values: &[T]) -> Self {
-        Deadband { half_width: values[0] }
-    }
-}
-
-impl<T: Real> Law<T> for Deadband<T> {
-    fn is_in_balances(&self) -> bool {
-        false
-    }
-
-    #[inline(always)]
-    fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
-        let beyond = (command.abs() - self.half_width).max(T::splat(0.0));
-        command.where_positive(beyond, -beyond)
-    }
-}
 
 impl Effect for ValveDeadband {
     fn info(&self) -> &'static EffectInfo {
         &EffectInfo {
             key: "valve_deadband",
-            parameters: &[Parameter {
-                name: "half_width",
-                unit: "1",
-                neutral: 0.0,
-                range: (0.0, 0.15),
-                source: "Merritt, Hydraulic Control Systems (1967), ch. 5: overlap of closed-centre spools, to 15 % of travel",
-            }],
-            law: "spool = sign(u) · max(|u| − half_width, 0)",
-            signature: "the command jumps by twice the half width whenever its sign changes; holds hunt slowly across the band",
+            parameters: &[
+                Parameter {
+                    name: "half_width",
+                    unit: "1",
+                    neutral: 0.0,
+                    range: (0.0, 0.15),
+                    source: "Merritt, Hydraulic Control Systems (1967), ch. 5: overlap of closed-centre spools, to 15 % of travel",
+                },
+                Parameter {
+                    name: "rounding",
+                    unit: "1",
+                    neutral: 0.0,
+                    range: (0.0, 0.05),
+                    source: ROUNDING_SOURCE,
+                },
+            ],
+            law: "spool = o(u) − o(−u), o(u) = ½ (b + √(b² + rounding²)) the opening of a land, b = u − half_width; where edges are sharp: \
+                  sign(u) · max(|u| − half_width, 0)",
+            signature: "the command jumps by twice the half width whenever its sign changes; holds hunt slowly across the band, or creep in \
+                        it where edges are round",
             equation: Equation::Cap,
         }
     }
-    built_by!(Deadband::new);
+    built_by!(RoundEdges::new);
 }

@@ -6,21 +6,25 @@ use crate::real::Real;
 /// See the [module](self).
 pub(crate) struct ValveOverlap;
 
+/// Where the range of the rounding comes from.
+pub(super) const ROUNDING_SOURCE: &str =
+    "Merritt, Hydraulic Control Systems (1967), ch. 5: radial clearance and rounding of the metering edges";
+
 /// Half the overlap and how round the edges are, shares of full command.
-struct RoundEdges<T> {
+pub(super) struct RoundEdges<T> {
     half_width: T,
     rounding_squared: T,
 }
 
 impl<T: Real> RoundEdges<T> {
-    fn new(values: &[T]) -> Self {
+    pub(super) fn new(values: &[T]) -> Self {
         RoundEdges { half_width: values[0], rounding_squared: values[1] * values[1] }
     }
 
-    /// Twice what an edge is open, less how far the spool is beyond it.
+    /// What a land is open whose edge the spool has passed by that much.
     #[inline(always)]
-    fn rounded(&self, beyond: T) -> T {
-        (beyond * beyond + self.rounding_squared).sqrt()
+    fn opening(&self, beyond: T) -> T {
+        T::splat(0.5) * (beyond + (beyond * beyond + self.rounding_squared).sqrt())
     }
 }
 
@@ -29,11 +33,13 @@ impl<T: Real> Law<T> for RoundEdges<T> {
         false
     }
 
-    /// What one pair of lands passes more than the other: what moves a piston. What both pass runs past it.
+    /// What one pair of lands passes more than the other: what moves a piston. What both pass runs past it. Sharp edges leave the larger of
+    /// 0 and what is beyond them, to the bit.
     #[inline(always)]
     fn spool(&self, _memory: &mut [T], command: T, _substep: &Substep<T>) -> T {
-        let both = self.rounded(command - self.half_width) - self.rounded(command + self.half_width);
-        command + T::splat(0.5) * both
+        let size = command.abs();
+        let open = self.opening(size - self.half_width) - self.opening(-size - self.half_width);
+        command.where_positive(open, -open)
     }
 }
 
@@ -54,7 +60,7 @@ impl Effect for ValveOverlap {
                     unit: "1",
                     neutral: 0.0,
                     range: (0.0, 0.05),
-                    source: "Merritt, Hydraulic Control Systems (1967), ch. 5: radial clearance and rounding of the metering edges",
+                    source: ROUNDING_SOURCE,
                 },
             ],
             law: "spool = o(u) − o(−u), o(u) = ½ (b + √(b² + rounding²)) the opening of a land, b = u − half_width",
@@ -75,12 +81,14 @@ mod tests {
         effect.scalar(values).spool(&mut [], command, &substep)
     }
 
+    /// Sharp edges pass the larger of 0 and what is beyond them, to the bit.
     #[test]
     fn sharp_edges_are_a_dead_band_and_no_overlap_is_a_line() {
         for step in -40..=40 {
             let command = 0.025 * f64::from(step);
-            let sharp = spool(&ValveOverlap, &[0.09, 0.0], command);
-            assert!((sharp - spool(&ValveDeadband, &[0.09], command)).abs() < 1e-15, "{command}");
+            let beyond = (command.abs() - 0.09).max(0.0).copysign(command);
+            assert_eq!(spool(&ValveOverlap, &[0.09, 0.0], command), beyond, "{command}");
+            assert_eq!(spool(&ValveDeadband, &[0.09, 0.0], command), beyond, "{command}");
             assert!((spool(&ValveOverlap, &[0.0, 0.01], command) - command).abs() < 1e-15, "{command}");
         }
     }

@@ -1,0 +1,63 @@
+//! Effects under other laws than ours, made by another simulator, are named and sized all the same.
+#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
+
+use seepd_blind::Press;
+use seepd_blind::press::{EffectValues, Variation};
+use seepd_gap::report::Diagnosis;
+use seepd_gap::{DiagnosisSettings, Log, Record, diagnose};
+use seepd_signals::Signal;
+use seepd_sim::noise::Noise;
+use seepd_sim::{Controller, DutyCycle, MachineSpec, PlantParameters};
+
+/// All signals of twelve cycles of the press that has these effects under its other laws.
+fn log(effects: EffectValues) -> Log {
+    let press = Press {
+        plant: PlantParameters { leak_area_m2: 3e-7, ..PlantParameters::default() },
+        controller: Controller::default(),
+        cycle: DutyCycle::default(),
+        planted: effects,
+        other_law: true,
+        foreign: None,
+    };
+    let mut log = Log::default();
+    let mut noise = Noise::new(3, 1);
+    let finite = press.run(12, Variation { load: 0.0, jitter_s: 0.0, seed: 4 }, |sample| {
+        let [p_supply, p_inlet, p_cap, p_rod] = sample.pressures_pa;
+        let signals = [
+            (Signal::Command, sample.command, 1e-3),
+            (Signal::Demand, sample.demand_m, 0.0),
+            (Signal::Position, sample.position_m, 1e-5),
+            (Signal::PSupply, p_supply, 2e4),
+            (Signal::PInlet, p_inlet, 2e4),
+            (Signal::PCap, p_cap, 2e4),
+            (Signal::PRod, p_rod, 2e4),
+        ];
+        for (signal, value, sigma) in signals {
+            log.values[signal as usize].push(value + noise.normal(sigma));
+        }
+    });
+    assert!(finite);
+    log
+}
+
+fn diagnosed(log: &Log) -> Diagnosis {
+    let spec = MachineSpec::default();
+    let record = Record::new(log, &spec).unwrap();
+    diagnose(&record, &spec, &DiagnosisSettings::default(), &mut |_| ()).0
+}
+
+/// The planter's lands open along a logistic curve, ours along a hyperbola. With sharp edges alone the dead band was shared with a bent flow
+/// curve, half and half, and 13 to 20 expected errors were left.
+#[test]
+fn a_dead_band_whose_lands_open_gradually_is_a_dead_band() {
+    let effects = [("valve_deadband".to_owned(), [("half_width".to_owned(), 0.04)].into())];
+    let found = diagnosed(&log(effects.into()));
+    assert_eq!(found.chosen, ["valve_deadband"]);
+    let values = &found.effects[0].parameters;
+    // The planter's edges are soft over a fifth of the half width: at its edge a land is open by ln 2 of that, ours by half the rounding.
+    // Away from it a hyperbola comes to its asymptotes more slowly, and the least squares are at a smaller one.
+    let rounding = 0.2 * 0.04 * 2.0 * std::f64::consts::LN_2;
+    assert!((values["half_width"] - 0.04).abs() < 0.002, "{values:?}");
+    assert!((values["rounding"] - rounding).abs() < 0.25 * rounding, "{values:?}");
+    assert!(found.shrink.of_removable > 0.97, "{:?}", found.shrink);
+}
