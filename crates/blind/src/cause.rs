@@ -309,6 +309,8 @@ fn value(effect: &str, parameter: &Parameter, index: usize, (share, anywhere, up
         ("valve_rate_limit", _) => 0.5 - 0.1 * share,
         // Sharp edges; the other law has round ones.
         ("valve_deadband", "rounding") => 0.0,
+        // Laminar; the other law is an orifice.
+        ("external_leak", "exponent") => 1.0,
         // Strongest where they are lowest.
         ("valve_lag", "natural_frequency_hz") => high * (low / high).powf(share),
         ("structure_compliance", "stiffness_n_per_m") => high * (low / high).powf(share),

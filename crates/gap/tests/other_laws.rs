@@ -61,3 +61,20 @@ fn a_dead_band_whose_lands_open_gradually_is_a_dead_band() {
     assert!((values["rounding"] - rounding).abs() < 0.25 * rounding, "{values:?}");
     assert!(found.shrink.of_removable > 0.97, "{:?}", found.shrink);
 }
+
+/// The planter's leak is an orifice: a laminar one left 50 expected errors of a chamber's pressure, and a load and a leak past the piston that
+/// were not there.
+#[test]
+fn an_external_leak_through_an_orifice_is_an_external_leak() {
+    let flows = [("cap_m3_per_s_pa", 4e-12), ("rod_m3_per_s_pa", 2e-12)];
+    let values = flows.map(|(name, value)| (name.to_owned(), value));
+    let found = diagnosed(&log([("external_leak".to_owned(), values.into())].into()));
+    assert_eq!(found.chosen, ["external_leak"]);
+    let found_values = &found.effects[0].parameters;
+    for (name, value) in flows {
+        assert!((found_values[name] / value - 1.0).abs() < 0.05, "{found_values:?}");
+    }
+    assert!((found_values["exponent"] - 0.5).abs() < 0.05, "{found_values:?}");
+    assert!((found.leak.chosen_m2 / 3e-7 - 1.0).abs() < 0.1, "{:?}", found.leak);
+    assert!(found.shrink.of_removable > 0.97, "{:?}", found.shrink);
+}

@@ -13,8 +13,8 @@ struct LeakLaw<T> {
     at_reference: T,
 }
 
-/// Pressure difference at which both laws pass the same, Pa.
-const REFERENCE_PA: f64 = 7e6;
+/// Pressure difference at which leaks of every law pass the same, Pa.
+pub(super) const REFERENCE_PA: f64 = 7e6;
 
 impl<T: Real> LeakLaw<T> {
     fn new(values: &[T]) -> Self {
