@@ -56,8 +56,6 @@ const CHOSEN: f64 = 0.5;
 const EQUIVALENT: f64 = 0.97;
 /// Share of the best machine's probability from which another that looks like it is as good.
 const ALIKE: f64 = 0.5;
-/// Standard deviations of its class from which a transducer is worth a check.
-const BEYOND_ITS_CLASS: f64 = 2.0;
 /// Share of the held-out gap, in squares, that a machine's last effect has to leave at most.
 const BORNE_OUT: f64 = 0.9;
 /// Probability from which a learned law is given to the machine: below it, it imitates something else.
@@ -616,7 +614,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             learned: self.learned_curves(&gaps[0]),
             sensors: self.sensors(&of_chosen),
             change: None,
-            notes: self.notes(&of_chosen),
+            notes: self.notes(&of_chosen, &gaps[2]),
             curves: self.curves(&machines[..3]),
         }
     }
@@ -667,25 +665,25 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         told
     }
 
-    /// What there is to know of the log, with the transducers that are further off than their class allows.
-    fn notes(&self, errors: &[Option<SensorError>]) -> Vec<String> {
+    /// What there is to know of the log, with the transducers that are worth a check. A machine that leaves a gap tells nothing of them: what
+    /// it does not explain they would have to.
+    fn notes(&self, errors: &[Option<SensorError>], gaps: &[f64]) -> Vec<String> {
         let mut notes = self.record.notes.clone();
         if self.adopted.is_some_and(|one| one.law.site == Site::Seal) {
             notes.push("the learned law is a flow past the piston: the leak is what it and the leak area pass together".into());
         }
-        for (signal, error) in self.record.signals.iter().zip(errors) {
-            let Some(error) =
-                error.filter(|error| transducers::of_its_class(*error, *signal) > BEYOND_ITS_CLASS)
-            else {
-                continue;
-            };
-            notes.push(format!(
+        if self.held_out.largest_over_expected(gaps) > NO_GAP {
+            return notes;
+        }
+        let worth_a_check = transducers::worth_a_check(&self.record.signals, errors);
+        notes.extend(worth_a_check.into_iter().map(|(signal, error)| {
+            format!(
                 "the transducer of {} seems to be off by {:+.1} % and {:+.1} bar, more than one of class 0.5 should be: check it",
                 signal.name(),
                 100.0 * error.gain,
                 1e-5 * error.zero
-            ));
-        }
+            )
+        }));
         notes
     }
 

@@ -55,6 +55,12 @@ impl HeldOut<'_> {
         gaps.iter().zip(&self.record.floor).map(of).sum()
     }
 
+    /// The largest of the signals' gaps, in squares of what is expected of a model.
+    pub(crate) fn largest_over_expected(&self, gaps: &[f64]) -> f64 {
+        let of = |(gap, floor): (&f64, &f64)| (gap / floor.hypot(MODEL_ERROR)).powi(2);
+        gaps.iter().zip(&self.record.floor).map(of).fold(0.0, f64::max)
+    }
+
     /// The first of the cycles; of runs, which have different signals and commands, all.
     pub(crate) fn first(&self) -> Self {
         let count = if self.record.is_open_loop { self.cycles.len() } else { 1 };

@@ -25,9 +25,31 @@ fn class_of(signal: Signal) -> Option<Class> {
     matches!(signal, Signal::PSupply | Signal::PInlet | Signal::PCap | Signal::PRod).then_some(PRESSURE)
 }
 
+/// Standard deviations of its class from which a transducer is worth a check.
+const BEYOND_ITS_CLASS: f64 = 3.0;
+
 /// How many standard deviations of its class a signal's sensor is off by.
-pub(crate) fn of_its_class(error: SensorError, signal: Signal) -> f64 {
-    class_of(signal).map_or(0.0, |class| (error.gain / class.gain).hypot(error.zero / class.zero))
+fn of_its_class(error: SensorError, class: Class) -> f64 {
+    (error.gain / class.gain).hypot(error.zero / class.zero)
+}
+
+/// The transducers that are further off than their class allows, unless half of them and more than one are: transducers fail one by one, and
+/// where all are off, the machine is another one.
+pub(crate) fn worth_a_check(
+    signals: &[Signal],
+    errors: &[Option<SensorError>],
+) -> Vec<(Signal, SensorError)> {
+    let judged: Vec<(Signal, SensorError, f64)> = signals
+        .iter()
+        .zip(errors)
+        .filter_map(|(signal, error)| Some((*signal, (*error)?, of_its_class((*error)?, class_of(*signal)?))))
+        .collect();
+    let beyond: Vec<(Signal, SensorError)> = judged
+        .iter()
+        .filter(|(.., deviations)| *deviations > BEYOND_ITS_CLASS)
+        .map(|(signal, error, _)| (*signal, *error))
+        .collect();
+    if beyond.len() > 1 && 2 * beyond.len() >= judged.len() { Vec::new() } else { beyond }
 }
 
 /// What a signal's sensor may add to weighted differences: two shapes of length 1, and how much of each is taken off.
@@ -131,6 +153,21 @@ mod tests {
         let expected = r.dot(&covariance.cholesky().unwrap().solve(&r));
         let found: f64 = taken.iter().map(|value| value * value).sum();
         assert!((found / expected - 1.0).abs() < 1e-9, "{found} {expected}");
+    }
+
+    #[test]
+    fn one_transducer_is_worth_a_check_and_all_of_them_are_another_machine() {
+        let signals = [Signal::Position, Signal::PSupply, Signal::PCap, Signal::PRod];
+        let off = |gain: f64| Some(SensorError { gain, zero: 0.0 });
+        let told = |gains: [f64; 3]| -> Vec<Signal> {
+            let errors = [None, off(gains[0]), off(gains[1]), off(gains[2])];
+            worth_a_check(&signals, &errors).into_iter().map(|(signal, _)| signal).collect()
+        };
+        assert_eq!(told([0.004, 0.03, -0.01]), [Signal::PCap]);
+        assert_eq!(told([0.004, 0.012, -0.01]), []);
+        assert_eq!(told([0.004, 0.03, -0.04]), []);
+        // The only one that there is.
+        assert_eq!(worth_a_check(&signals[2..3], &[off(0.03)]).len(), 1);
     }
 
     #[test]

@@ -1,24 +1,30 @@
-//! Effects under other laws than ours, made by another simulator, are named and sized all the same.
+//! Logs of another simulator: effects under other laws than ours are named and sized all the same, and transducers are blamed for nothing that
+//! is not theirs.
 #![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
 
 use seepd_blind::Press;
+use seepd_blind::foreign::Foreign;
 use seepd_blind::press::{EffectValues, Variation};
-use seepd_gap::report::Diagnosis;
+use seepd_gap::report::{Diagnosis, Verdict};
 use seepd_gap::{DiagnosisSettings, Log, Record, diagnose};
 use seepd_signals::Signal;
 use seepd_sim::noise::Noise;
 use seepd_sim::{Controller, DutyCycle, MachineSpec, PlantParameters};
 
-/// All signals of twelve cycles of the press that has these effects under its other laws.
-fn log(effects: EffectValues) -> Log {
-    let press = Press {
+/// The press that has these effects under its other laws.
+fn press(effects: EffectValues) -> Press {
+    Press {
         plant: PlantParameters { leak_area_m2: 3e-7, ..PlantParameters::default() },
         controller: Controller::default(),
         cycle: DutyCycle::default(),
         planted: effects,
         other_law: true,
         foreign: None,
-    };
+    }
+}
+
+/// All signals of twelve cycles.
+fn log(press: &Press) -> Log {
     let mut log = Log::default();
     let mut noise = Noise::new(3, 1);
     let finite = press.run(12, Variation { load: 0.0, jitter_s: 0.0, seed: 4 }, |sample| {
@@ -51,7 +57,7 @@ fn diagnosed(log: &Log) -> Diagnosis {
 #[test]
 fn a_dead_band_whose_lands_open_gradually_is_a_dead_band() {
     let effects = [("valve_deadband".to_owned(), [("half_width".to_owned(), 0.04)].into())];
-    let found = diagnosed(&log(effects.into()));
+    let found = diagnosed(&log(&press(effects.into())));
     assert_eq!(found.chosen, ["valve_deadband"]);
     let values = &found.effects[0].parameters;
     // The planter's edges are soft over a fifth of the half width: at its edge a land is open by ln 2 of that, ours by half the rounding.
@@ -68,7 +74,7 @@ fn a_dead_band_whose_lands_open_gradually_is_a_dead_band() {
 fn an_external_leak_through_an_orifice_is_an_external_leak() {
     let flows = [("cap_m3_per_s_pa", 4e-12), ("rod_m3_per_s_pa", 2e-12)];
     let values = flows.map(|(name, value)| (name.to_owned(), value));
-    let found = diagnosed(&log([("external_leak".to_owned(), values.into())].into()));
+    let found = diagnosed(&log(&press([("external_leak".to_owned(), values.into())].into())));
     assert_eq!(found.chosen, ["external_leak"]);
     let found_values = &found.effects[0].parameters;
     for (name, value) in flows {
@@ -77,4 +83,30 @@ fn an_external_leak_through_an_orifice_is_an_external_leak() {
     assert!((found_values["exponent"] - 0.5).abs() < 0.05, "{found_values:?}");
     assert!((found.leak.chosen_m2 / 3e-7 - 1.0).abs() < 0.1, "{:?}", found.leak);
     assert!(found.shrink.of_removable > 0.97, "{:?}", found.shrink);
+}
+
+/// Notes on transducers.
+fn blamed(found: &Diagnosis) -> Vec<&String> {
+    found.notes.iter().filter(|note| note.contains("transducer")).collect()
+}
+
+#[test]
+fn a_transducer_that_is_off_is_told() {
+    let mut log = log(&press(EffectValues::new()));
+    log.values[Signal::PRod as usize].iter_mut().for_each(|pressure| *pressure = 1.04 * *pressure + 2e5);
+    let found = diagnosed(&log);
+    assert_eq!(found.chosen, Vec::<&str>::new());
+    let blamed = blamed(&found);
+    assert!(matches!(blamed[..], [note] if note.contains("p_rod")), "{blamed:?}");
+    let error = found.sensors["p_rod"];
+    assert!((error.gain - 0.04).abs() < 0.01 && (error.zero - 2e5).abs() < 1e5, "{error:?}");
+}
+
+/// A valve that is shaken by something that nobody knows: to explain the pressures by their transducers would take 28 to 41 %.
+#[test]
+fn transducers_are_not_blamed_for_what_no_machine_explains() {
+    let foreign = Some(Foreign::Dither { amplitude: 0.025, frequency_hz: 2.5 });
+    let found = diagnosed(&log(&Press { foreign, ..press(EffectValues::new()) }));
+    assert_eq!(found.verdict, Verdict::Unknown);
+    assert_eq!(blamed(&found), Vec::<&String>::new());
 }
