@@ -192,6 +192,19 @@ pub enum Mismatch {
         /// Best correlation of both, −1 … 1.
         correlation: f64,
     },
+    /// The position swings about the demand without end.
+    #[error(
+        "the position swings about the demand, by up to {:.0} mm to one side and {:.0} mm to the other where it stands still: find out why first \
+         (gains that are too high, a valve that is slow or sticks), since a loop that swings cannot be compared; or are they of different axes?",
+        1e3 * beyond_m,
+        1e3 * short_m
+    )]
+    Swings {
+        /// Farthest beyond the demand, m.
+        beyond_m: f64,
+        /// Farthest short of it, m.
+        short_m: f64,
+    },
     /// The position runs ahead of the demand.
     #[error(
         "the position runs ahead of the demand: the clocks of their topics differ; map the time in the messages instead"
@@ -475,26 +488,52 @@ fn plausible<A: SimulatedAxis>(
     cycles: &[RecordedCycle],
     spec: &A,
 ) -> Result<(), RecordError> {
-    if let Some(what) = spec.contradiction(signals, &cycles[0]) {
-        return Err(Mismatch::Contradiction(what).into());
-    }
-    let Some(x) = bins_of(signals, Signal::Position, &cycles[0].bins) else { return Ok(()) };
-    let ticks = cycles[0].drive.len();
-    let demand: Vec<f64> = (0..BINS).map(|bin| cycles[0].drive[bin * ticks / BINS].demand_m).collect();
+    let cycle = &cycles[0];
+    let contradiction = spec.contradiction(signals, cycle).map(Mismatch::Contradiction);
+    let Some(x) = bins_of(signals, Signal::Position, &cycle.bins) else {
+        return contradiction.map_or(Ok(()), |mismatch| Err(mismatch.into()));
+    };
+    let ticks = cycle.drive.len();
+    let demand: Vec<f64> = (0..BINS).map(|bin| cycle.drive[bin * ticks / BINS].demand_m).collect();
     // The position follows by up to a twentieth of the cycle.
     let lagged = |lag: usize| {
         let shifted: Vec<f64> = (0..BINS).map(|bin| x[(bin + lag) % BINS]).collect();
         correlation(&shifted, &demand, 0, 1)
     };
     let follows = (0..BINS / 20).map(lagged).fold(f64::NEG_INFINITY, f64::max);
-    if follows < LEAST_CORRELATION {
-        return Err(Mismatch::DoesNotFollow { correlation: follows }.into());
+    let stays_behind =
+        (follows < LEAST_CORRELATION).then_some(Mismatch::DoesNotFollow { correlation: follows });
+    if let Some(mismatch) = contradiction.or(stays_behind) {
+        let swings = if follows > FOLLOWS_AT_ALL { swings(x, &demand) } else { None };
+        return Err(swings.unwrap_or(mismatch).into());
     }
     let early = (1..BINS / 20).map(|lead| lagged(BINS - lead)).fold(f64::NEG_INFINITY, f64::max);
     if early > follows + 1e-3 {
         return Err(Mismatch::ClocksApart.into());
     }
     Ok(())
+}
+
+/// Correlation of position and demand from which they are of one axis, whatever else is wrong.
+const FOLLOWS_AT_ALL: f64 = 0.3;
+/// How far a position that swings is to either side of a demand that stands still, share of the demand's range.
+const LEAST_SWING: f64 = 0.1;
+
+/// How the position swings about a demand that stands still, if it does: to both sides within one hold, since a slow loop is short of the
+/// demand at the end of one stroke and beyond it at the end of the next.
+fn swings(position_m: &[f64], demand_m: &[f64]) -> Option<Mismatch> {
+    let (low, high) = span(demand_m);
+    let least_m = LEAST_SWING * (high - low);
+    let stands_still = |from: &f64, to: &f64| (to - from).abs() < 1e-4 * (high - low);
+    let mut first = 0;
+    demand_m.chunk_by(stands_still).find_map(|hold| {
+        let positions = &position_m[first..first + hold.len()];
+        first += hold.len();
+        let errors: Vec<f64> = positions.iter().zip(hold).map(|(x, demand)| x - demand).collect();
+        let (lowest, beyond_m) = span(&errors);
+        let short_m = -lowest;
+        (short_m.min(beyond_m) > least_m).then_some(Mismatch::Swings { beyond_m, short_m })
+    })
 }
 
 /// What can be wrong with a log before anything is compared.

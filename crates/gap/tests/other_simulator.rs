@@ -6,7 +6,7 @@ use seepd_blind::Press;
 use seepd_blind::foreign::Foreign;
 use seepd_blind::press::{EffectValues, Variation};
 use seepd_gap::report::{Diagnosis, Verdict};
-use seepd_gap::{DiagnosisSettings, Log, Record, diagnose};
+use seepd_gap::{DiagnosisSettings, Log, Mismatch, Record, RecordError, diagnose};
 use seepd_signals::Signal;
 use seepd_sim::noise::Noise;
 use seepd_sim::{Controller, DutyCycle, MachineSpec, PlantParameters};
@@ -109,4 +109,17 @@ fn transducers_are_not_blamed_for_what_no_machine_explains() {
     let found = diagnosed(&log(&Press { foreign, ..press(EffectValues::new()) }));
     assert_eq!(found.verdict, Verdict::Unknown);
     assert_eq!(blamed(&found), Vec::<&String>::new());
+}
+
+/// Its valve cannot follow the loop, which swings without end.
+#[test]
+fn a_loop_that_swings_is_told_to_swing() {
+    let effects = [("valve_rate_limit".to_owned(), [("rate_per_s".to_owned(), 0.43)].into())];
+    let swinging = Press {
+        plant: PlantParameters { leak_area_m2: 6e-6, ..PlantParameters::default() },
+        ..press(effects.into())
+    };
+    let refused = Record::new(&log(&swinging), &MachineSpec::default()).unwrap_err();
+    let RecordError::Mismatch(Mismatch::Swings { beyond_m, short_m }) = refused else { panic!("{refused}") };
+    assert!(beyond_m > 0.1 && short_m > 0.1, "{refused}");
 }
