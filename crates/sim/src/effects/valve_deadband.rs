@@ -2,7 +2,7 @@
 //! round.
 
 use super::{Effect, EffectInfo, Equation, Parameter, built_by};
-use crate::effects::valve_overlap::{ROUNDING_SOURCE, RoundEdges};
+use crate::effects::valve_overlap::{ROUNDING, RoundEdges};
 
 /// See the [module](self).
 pub(crate) struct ValveDeadband;
@@ -19,13 +19,7 @@ impl Effect for ValveDeadband {
                     range: (0.0, 0.15),
                     source: "Merritt, Hydraulic Control Systems (1967), ch. 5: overlap of closed-centre spools, to 15 % of travel",
                 },
-                Parameter {
-                    name: "rounding",
-                    unit: "1",
-                    neutral: 0.0,
-                    range: (0.0, 0.05),
-                    source: ROUNDING_SOURCE,
-                },
+                ROUNDING,
             ],
             law: "spool = o(u) − o(−u), o(u) = ½ (b + √(b² + rounding²)) the opening of a land, b = u − half_width; where edges are sharp: \
                   sign(u) · max(|u| − half_width, 0)",

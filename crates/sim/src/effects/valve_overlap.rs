@@ -6,9 +6,14 @@ use crate::real::Real;
 /// See the [module](self).
 pub(crate) struct ValveOverlap;
 
-/// Where the range of the rounding comes from.
-pub(super) const ROUNDING_SOURCE: &str =
-    "Merritt, Hydraulic Control Systems (1967), ch. 5: radial clearance and rounding of the metering edges";
+/// How round the edges of lands are.
+pub(super) const ROUNDING: Parameter = Parameter {
+    name: "rounding",
+    unit: "1",
+    neutral: 0.0,
+    range: (0.0, 0.05),
+    source: "Merritt, Hydraulic Control Systems (1967), ch. 5: radial clearance and rounding of the metering edges",
+};
 
 /// Half the overlap and how round the edges are, shares of full command.
 pub(super) struct RoundEdges<T> {
@@ -55,13 +60,7 @@ impl Effect for ValveOverlap {
                     range: (0.0, 0.25),
                     source: "proportional valves for presses are sold with up to 20 %",
                 },
-                Parameter {
-                    name: "rounding",
-                    unit: "1",
-                    neutral: 0.0,
-                    range: (0.0, 0.05),
-                    source: ROUNDING_SOURCE,
-                },
+                ROUNDING,
             ],
             law: "spool = o(u) − o(−u), o(u) = ½ (b + √(b² + rounding²)) the opening of a land, b = u − half_width",
             signature: "holds without a leak settle within the overlap, those with one beside its edge",
