@@ -292,7 +292,8 @@ struct Play {
 }
 
 impl Play {
-    /// The command behind the play. Other law: the offset approaches the play's end exponentially (Dahl's law in the command).
+    /// The command behind the play. Other law: the offset approaches the play's end exponentially (Dahl's law in the command), and at most as
+    /// fast as the command goes: the spool never runs against it.
     fn follow(&mut self, command: f64, laws: &Laws, other_law: bool) -> f64 {
         let half = 0.5 * laws.hysteresis;
         let change = command - self.last;
@@ -301,7 +302,7 @@ impl Play {
             0.0
         } else if other_law {
             let end = half * change.signum();
-            if change == 0.0 { self.offset } else { end + (self.offset - end) * (-change.abs() / half).exp() }
+            if change == 0.0 { self.offset } else { end + (self.offset - end) * (-change.abs() / laws.hysteresis).exp() }
         } else {
             (self.offset + change).clamp(-half, half)
         };

@@ -69,6 +69,7 @@ impl Size {
         Some(match parameter.unit {
             "N" => self.force,
             "N/m" => self.force / self.length,
+            "1/m" => 1.0 / self.length,
             "m3" => self.volume,
             "m3/s" => flow,
             "m3/(s Pa)" => flow / self.pressure,
