@@ -85,8 +85,7 @@ fn an_external_leak_through_an_orifice_is_an_external_leak() {
     assert!(found.shrink.of_removable > 0.97, "{:?}", found.shrink);
 }
 
-/// The planter's loop follows Dahl's law; ours is the mean of six plays. With one play alone 15 to 40 expected errors
-/// were left.
+/// The planter's loop follows Dahl's law; ours is the mean of six plays. With one play alone it was "unknown", and half of the gap was left.
 #[test]
 fn a_hysteresis_with_a_round_loop_is_a_hysteresis() {
     let effects = [("valve_hysteresis".to_owned(), [("width".to_owned(), 0.04)].into())];
@@ -94,8 +93,9 @@ fn a_hysteresis_with_a_round_loop_is_a_hysteresis() {
     assert_eq!(found.chosen, ["valve_hysteresis"]);
     let values = &found.effects[0].parameters;
     assert!((values["width"] - 0.04).abs() < 0.004, "{values:?}");
-    assert!(values["rounding"] > 0.5, "{values:?}");
-    assert!(found.shrink.of_removable > 0.97, "{:?}", found.shrink);
+    assert!((values["rounding"] - 1.0).abs() < 0.4, "{values:?}");
+    // The corners of the small loops of a hold differ: Dahl's law forgets where they began.
+    assert!(found.shrink.of_removable > 0.9, "{:?}", found.shrink);
 }
 
 /// The planter's spring hardens with the square of its way, ours with the way: 29 expected errors were left of one that did not harden.
