@@ -91,7 +91,7 @@ pub(crate) fn search<A: SimulatedAxis>(
     polish(problem, &mut found.explanations, settings);
     let may_go_on = !untouched.spec.is_spent();
     if may_go_on && found.explanations.iter().all(|one| something_left(problem, &one.fit)) {
-        add_effects(problem, &mut found.explanations, settings);
+        add_effects(problem, untouched, &mut found.explanations, settings);
     }
     found
 }
@@ -210,6 +210,7 @@ fn keep_better<'c, A>(
 /// Forward selection: the best machines get a further effect as long as something is left and the next one takes much of it.
 fn add_effects<A: SimulatedAxis>(
     problem: &Problem<'_>,
+    untouched: &Fit<A>,
     explanations: &mut Vec<Explanation<A>>,
     settings: &DiagnosisSettings,
 ) {
@@ -230,6 +231,9 @@ fn add_effects<A: SimulatedAxis>(
                 .collect();
             grown.extend(tried.into_iter().filter(|one| one.fit.cost < WORTH_ANOTHER_EFFECT * base.fit.cost));
         }
+        grown
+            .par_iter_mut()
+            .for_each(|one| *one = one.clone().or_beside_the_untouched(problem, untouched, settings));
         bases = most_likely(problem, &grown, 1);
         explanations.extend(grown.into_iter().filter(|one| !one.is_idle()));
     }
@@ -247,6 +251,30 @@ fn most_likely<A: SimulatedAxis>(
 }
 
 impl<A: SimulatedAxis> Explanation<A> {
+    /// The same effects fitted beside the untouched machine, where that explains more: while one of them was missing, the parameters beside
+    /// them were bent to its part of the gap, and from far off, as a supply of half the pressure, none of them finds back.
+    fn or_beside_the_untouched(
+        mut self,
+        problem: &Problem<'_>,
+        untouched: &Fit<A>,
+        settings: &DiagnosisSettings,
+    ) -> Self {
+        if !something_left(problem, &self.fit) {
+            return self;
+        }
+        let mut machine = untouched.spec.clone();
+        let mut free = untouched.free.clone();
+        for effect in &self.effects {
+            machine = with(&machine, effect, &values_of(effect, &self.fit.spec));
+            free.extend(of_effect(effect, &machine));
+        }
+        let anew = Fit::at(problem, &machine, free).fitted_from_afar(problem, settings.iterations);
+        if anew.cost < self.fit.cost {
+            self.fit = anew;
+        }
+        self
+    }
+
     /// Whether one of its effects has been fitted away.
     fn is_idle(&self) -> bool {
         self.effects.iter().any(|effect| {

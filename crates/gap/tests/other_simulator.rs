@@ -108,6 +108,24 @@ fn a_spring_that_hardens_is_a_spring() {
     assert!(found.shrink.of_removable > 0.97, "{:?}", found.shrink);
 }
 
+/// Without one of them, calibration halves the supply's pressure for what the other leaves, and the force that friction may have with it; both
+/// were "unknown".
+#[test]
+fn a_spring_beside_a_friction_that_sticks_are_both_found() {
+    let spring = [("stiffness_n_per_m", 2.45e4), ("neutral_position_m", 0.141)];
+    let friction = [("force_n", 4015.0), ("static_force_n", 6125.0), ("stribeck_speed_m_per_s", 0.0373)];
+    let named =
+        |values: &[(&str, f64)]| values.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect();
+    let effects: EffectValues =
+        [("spring_load".to_owned(), named(&spring)), ("stribeck_friction".to_owned(), named(&friction))]
+            .into();
+    let found = diagnosed(&log(&press(effects)));
+    for effect in ["spring_load", "stribeck_friction"] {
+        assert!(found.chosen.contains(&effect), "{:?}", found.chosen);
+    }
+    assert!(found.shrink.of_removable > 0.9, "{:?}", found.shrink);
+}
+
 /// Notes on transducers.
 fn blamed(found: &Diagnosis) -> Vec<&String> {
     found.notes.iter().filter(|note| note.contains("transducer")).collect()
