@@ -302,7 +302,11 @@ impl Play {
             0.0
         } else if other_law {
             let end = half * change.signum();
-            if change == 0.0 { self.offset } else { end + (self.offset - end) * (-change.abs() / laws.hysteresis).exp() }
+            if change == 0.0 {
+                self.offset
+            } else {
+                end + (self.offset - end) * (-change.abs() / laws.hysteresis).exp()
+            }
         } else {
             (self.offset + change).clamp(-half, half)
         };
