@@ -233,7 +233,8 @@ fn add_effects<A: SimulatedAxis>(
         }
         grown
             .par_iter_mut()
-            .for_each(|one| *one = one.clone().or_beside_the_untouched(problem, untouched, settings));
+            .filter(|one| something_left(problem, &one.fit))
+            .for_each(|one| one.try_beside_the_untouched(problem, untouched, settings));
         bases = most_likely(problem, &grown, 1);
         explanations.extend(grown.into_iter().filter(|one| !one.is_idle()));
     }
@@ -251,17 +252,14 @@ fn most_likely<A: SimulatedAxis>(
 }
 
 impl<A: SimulatedAxis> Explanation<A> {
-    /// The same effects fitted beside the untouched machine, where that explains more: while one of them was missing, the parameters beside
-    /// them were bent to its part of the gap, and from far off, as a supply of half the pressure, none of them finds back.
-    fn or_beside_the_untouched(
-        mut self,
+    /// Fits the same effects beside the untouched machine, and keeps that where it explains more: while one of them was missing, the
+    /// parameters beside them were bent to its part of the gap, and from far off, as a supply of half the pressure, none of them finds back.
+    fn try_beside_the_untouched(
+        &mut self,
         problem: &Problem<'_>,
         untouched: &Fit<A>,
         settings: &DiagnosisSettings,
-    ) -> Self {
-        if !something_left(problem, &self.fit) {
-            return self;
-        }
+    ) {
         let mut machine = untouched.spec.clone();
         let mut free = untouched.free.clone();
         for effect in &self.effects {
@@ -272,7 +270,6 @@ impl<A: SimulatedAxis> Explanation<A> {
         if anew.cost < self.fit.cost {
             self.fit = anew;
         }
-        self
     }
 
     /// Whether one of its effects has been fitted away.

@@ -4,20 +4,25 @@
 
 use seepd_blind::Press;
 use seepd_blind::foreign::Foreign;
-use seepd_blind::press::{EffectValues, Variation};
+use seepd_blind::press::Variation;
 use seepd_gap::report::{Diagnosis, Verdict};
 use seepd_gap::{DiagnosisSettings, Log, Mismatch, Record, RecordError, diagnose};
 use seepd_signals::Signal;
 use seepd_sim::noise::Noise;
 use seepd_sim::{Controller, DutyCycle, MachineSpec, PlantParameters};
 
+/// Effects by their keys, with their parameters.
+type Planted<'a> = &'a [(&'a str, &'a [(&'a str, f64)])];
+
 /// The press that has these effects under its other laws.
-fn press(effects: EffectValues) -> Press {
+fn press(effects: Planted<'_>) -> Press {
+    let named =
+        |values: &[(&str, f64)]| values.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect();
     Press {
         plant: PlantParameters { leak_area_m2: 3e-7, ..PlantParameters::default() },
         controller: Controller::default(),
         cycle: DutyCycle::default(),
-        planted: effects,
+        planted: effects.iter().map(|(effect, values)| ((*effect).to_owned(), named(values))).collect(),
         other_law: true,
         foreign: None,
     }
@@ -56,8 +61,7 @@ fn diagnosed(log: &Log) -> Diagnosis {
 /// curve, half and half, and 13 to 20 expected errors were left.
 #[test]
 fn a_dead_band_whose_lands_open_gradually_is_a_dead_band() {
-    let effects = [("valve_deadband".to_owned(), [("half_width".to_owned(), 0.04)].into())];
-    let found = diagnosed(&log(&press(effects.into())));
+    let found = diagnosed(&log(&press(&[("valve_deadband", &[("half_width", 0.04)])])));
     assert_eq!(found.chosen, ["valve_deadband"]);
     let values = &found.effects[0].parameters;
     // The planter's edges are soft over a fifth of the half width: at its edge a land is open by ln 2 of that, ours by half the rounding.
@@ -73,8 +77,7 @@ fn a_dead_band_whose_lands_open_gradually_is_a_dead_band() {
 #[test]
 fn an_external_leak_through_an_orifice_is_an_external_leak() {
     let flows = [("cap_m3_per_s_pa", 4e-12), ("rod_m3_per_s_pa", 2e-12)];
-    let values = flows.map(|(name, value)| (name.to_owned(), value));
-    let found = diagnosed(&log(&press([("external_leak".to_owned(), values.into())].into())));
+    let found = diagnosed(&log(&press(&[("external_leak", &flows)])));
     assert_eq!(found.chosen, ["external_leak"]);
     let found_values = &found.effects[0].parameters;
     for (name, value) in flows {
@@ -88,8 +91,7 @@ fn an_external_leak_through_an_orifice_is_an_external_leak() {
 /// The planter's loop follows Dahl's law; ours is the mean of six plays. With one play alone it was "unknown", and half of the gap was left.
 #[test]
 fn a_hysteresis_with_a_round_loop_is_a_hysteresis() {
-    let effects = [("valve_hysteresis".to_owned(), [("width".to_owned(), 0.04)].into())];
-    let found = diagnosed(&log(&press(effects.into())));
+    let found = diagnosed(&log(&press(&[("valve_hysteresis", &[("width", 0.04)])])));
     assert_eq!(found.chosen, ["valve_hysteresis"]);
     let values = &found.effects[0].parameters;
     assert!((values["width"] - 0.04).abs() < 0.004, "{values:?}");
@@ -101,9 +103,8 @@ fn a_hysteresis_with_a_round_loop_is_a_hysteresis() {
 /// The planter's spring hardens with the square of its way, ours with the way: 29 expected errors were left of one that did not harden.
 #[test]
 fn a_spring_that_hardens_is_a_spring() {
-    let planted = [("stiffness_n_per_m", 2e4), ("neutral_position_m", 0.2)];
-    let values = planted.map(|(name, value)| (name.to_owned(), value));
-    let found = diagnosed(&log(&press([("spring_load".to_owned(), values.into())].into())));
+    let spring = [("stiffness_n_per_m", 2e4), ("neutral_position_m", 0.2)];
+    let found = diagnosed(&log(&press(&[("spring_load", &spring)])));
     assert_eq!(found.chosen, ["spring_load"]);
     assert!(found.shrink.of_removable > 0.97, "{:?}", found.shrink);
 }
@@ -114,12 +115,7 @@ fn a_spring_that_hardens_is_a_spring() {
 fn a_spring_beside_a_friction_that_sticks_are_both_found() {
     let spring = [("stiffness_n_per_m", 2.45e4), ("neutral_position_m", 0.141)];
     let friction = [("force_n", 4015.0), ("static_force_n", 6125.0), ("stribeck_speed_m_per_s", 0.0373)];
-    let named =
-        |values: &[(&str, f64)]| values.iter().map(|(name, value)| ((*name).to_owned(), *value)).collect();
-    let effects: EffectValues =
-        [("spring_load".to_owned(), named(&spring)), ("stribeck_friction".to_owned(), named(&friction))]
-            .into();
-    let found = diagnosed(&log(&press(effects)));
+    let found = diagnosed(&log(&press(&[("spring_load", &spring), ("stribeck_friction", &friction)])));
     for effect in ["spring_load", "stribeck_friction"] {
         assert!(found.chosen.contains(&effect), "{:?}", found.chosen);
     }
@@ -133,7 +129,7 @@ fn blamed(found: &Diagnosis) -> Vec<&String> {
 
 #[test]
 fn a_transducer_that_is_off_is_told() {
-    let mut log = log(&press(EffectValues::new()));
+    let mut log = log(&press(&[]));
     log.values[Signal::PRod as usize].iter_mut().for_each(|pressure| *pressure = 1.04 * *pressure + 2e5);
     let found = diagnosed(&log);
     assert_eq!(found.chosen, Vec::<&str>::new());
@@ -147,7 +143,7 @@ fn a_transducer_that_is_off_is_told() {
 #[test]
 fn transducers_are_not_blamed_for_what_no_machine_explains() {
     let foreign = Some(Foreign::Dither { amplitude: 0.025, frequency_hz: 2.5 });
-    let found = diagnosed(&log(&Press { foreign, ..press(EffectValues::new()) }));
+    let found = diagnosed(&log(&Press { foreign, ..press(&[]) }));
     assert_eq!(found.verdict, Verdict::Unknown);
     assert_eq!(blamed(&found), Vec::<&String>::new());
 }
@@ -155,10 +151,9 @@ fn transducers_are_not_blamed_for_what_no_machine_explains() {
 /// Its valve cannot follow the loop, which swings without end.
 #[test]
 fn a_loop_that_swings_is_told_to_swing() {
-    let effects = [("valve_rate_limit".to_owned(), [("rate_per_s".to_owned(), 0.43)].into())];
     let swinging = Press {
         plant: PlantParameters { leak_area_m2: 6e-6, ..PlantParameters::default() },
-        ..press(effects.into())
+        ..press(&[("valve_rate_limit", &[("rate_per_s", 0.43)])])
     };
     let refused = Record::new(&log(&swinging), &MachineSpec::default()).unwrap_err();
     let RecordError::Mismatch(Mismatch::Swings { beyond_m, short_m }) = refused else { panic!("{refused}") };

@@ -7,9 +7,6 @@ use crate::real::Real;
 /// See the [module](self).
 pub(super) struct SpringLoad;
 
-/// The parameter that says by what share of itself the stiffness grows with each metre.
-const PROGRESSION: &str = "progression_per_m";
-
 /// Stiffness, N/m, the position without force, m, and half of what the stiffness gains by way, 1/m.
 struct Spring<T> {
     stiffness: T,
@@ -56,7 +53,7 @@ impl Effect for SpringLoad {
                     source: "anywhere along the stroke",
                 },
                 Parameter {
-                    name: PROGRESSION,
+                    name: "progression_per_m",
                     unit: "1/m",
                     neutral: 0.0,
                     range: (0.0, 20.0),

@@ -15,11 +15,11 @@ struct Plays<T> {
 }
 
 impl<T: Real> Plays<T> {
-    /// Widths as a Weibull distribution of shape 1 / rounding has them in the middle of each sixth: all alike without rounding, spread
+    /// Widths as a Weibull distribution of shape 1 / rounding has them in the middle of as many equal parts: all alike without rounding, spread
     /// exponentially with a rounding of 1.
     fn new(values: &[T]) -> Self {
-        let sixth = |play: usize| -libm::log(1.0 - (2.0 * play as f64 + 1.0) / (2.0 * PLAYS as f64));
-        let shares: [T; PLAYS] = std::array::from_fn(|play| T::splat(sixth(play)).pow(values[1]));
+        let quantile = |play: usize| -libm::log(1.0 - (2.0 * play as f64 + 1.0) / (2.0 * PLAYS as f64));
+        let shares: [T; PLAYS] = std::array::from_fn(|play| T::splat(quantile(play)).pow(values[1]));
         let sum = shares.iter().fold(T::splat(0.0), |sum, share| sum + *share);
         let half = T::splat(0.5) * values[0] * T::splat(PLAYS as f64) / sum;
         Plays { half_widths: shares.map(|share| half * share) }
