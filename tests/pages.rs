@@ -3,6 +3,7 @@
 //!
 //! Transcripts (`transcripts.rs`) hold what is printed; here a misspelled option fails, wherever it stands.
 
+use std::collections::HashSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -294,7 +295,12 @@ fn command_lines_of_the_pages_run() {
     let program = Path::new(env!("CARGO_BIN_EXE_seepd")).parent().unwrap();
     let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
     let (mut run, mut failed) = (vec![0; RUN.len()], Vec::new());
+    let mut seen = HashSet::new();
     for line in all_lines().iter().filter(|line| !line.is_mentioned && !line.text.contains("://")) {
+        // What several pages have runs once.
+        if !seen.insert(&line.text) {
+            continue;
+        }
         let Some(which) = RUN.iter().position(|begin| line.text.starts_with(begin)) else { continue };
         let words = commands_of(&line.text).remove(0);
         assert!(!line.text.contains(" /"), "{}: outside of the scratch folder", line.place);
