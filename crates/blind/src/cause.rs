@@ -307,8 +307,10 @@ fn value(effect: &str, parameter: &Parameter, index: usize, (share, anywhere, up
     match (effect, parameter.name) {
         // Above 0.5 1/s it never acts.
         ("valve_rate_limit", _) => 0.5 - 0.1 * share,
-        // Sharp edges and corners, one stiffness; the other laws have round ones, and a spring that hardens.
-        ("valve_deadband" | "valve_hysteresis", "rounding") | ("spring_load", "progression_per_m") => 0.0,
+        // Sharp edges and corners, notches from their tip, one stiffness; the other laws have round ones, a parabola and a spring that hardens.
+        ("valve_deadband" | "valve_hysteresis", "rounding")
+        | ("valve_flow_shape", "notch_start")
+        | ("spring_load", "progression_per_m") => 0.0,
         // Laminar; the other law is an orifice.
         ("external_leak", "exponent") => 1.0,
         // Strongest where they are lowest.

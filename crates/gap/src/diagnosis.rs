@@ -325,7 +325,7 @@ impl<A: SimulatedAxis> RankedExplanations<A> {
             |one: &&mut (Explanation<A>, f64)| one.1 >= WORTH_A_COMPANION && !one.0.has(step.effect.key);
         for (explanation, _) in self.explanations.iter_mut().filter(lacks_it) {
             let machine = with(&explanation.fit.spec, step.effect, &[step_m]);
-            let free = of_effect(step.effect, &machine);
+            let free = of_effect(step.effect, &explanation.fit.as_described());
             explanation.fit = explanation.fit.extended(problem, &machine, free);
             explanation.effects.push(step.effect);
         }

@@ -38,6 +38,8 @@ pub(crate) struct Free {
     /// What it is.
     pub(crate) target: Target,
     pub(crate) scale: Scale,
+    /// Least and largest value, SI, and their coordinates.
+    range: (f64, f64),
     low: f64,
     high: f64,
     /// Centre and standard deviation, in the coordinate.
@@ -50,14 +52,21 @@ pub(crate) fn free_parameters<A: SimulatedAxis>(spec: &A) -> Vec<Free> {
     parameters.map(|parameter| Free::of_plant(spec, parameter)).collect()
 }
 
-/// An effect's parameters.
+/// An effect's parameters, in the ranges that are plausible on a machine.
 pub(crate) fn of_effect<A: SimulatedAxis>(effect: &'static EffectInfo, spec: &A) -> Vec<Free> {
     let of = |(index, parameter): (usize, &Parameter)| {
-        let (low, high) = spec.range(effect, parameter);
+        let range @ (low, high) = spec.range(effect, parameter);
         let scale =
             if spans_decades(low, high) { Scale::Logarithmic } else { Scale::Linear(0.2 * (high - low)) };
         let at = |value| coordinate(scale, value);
-        Free { target: Target::Effect(effect, index), scale, low: at(low), high: at(high), prior: None }
+        Free {
+            target: Target::Effect(effect, index),
+            scale,
+            range,
+            low: at(low),
+            high: at(high),
+            prior: None,
+        }
     };
     let parameters = effect.parameters.iter().enumerate();
     parameters.filter(|(_, parameter)| spec.acts(effect, parameter)).map(of).collect()
@@ -83,10 +92,11 @@ pub(crate) fn values_of<A: SimulatedAxis>(effect: &EffectInfo, spec: &A) -> Vec<
 impl Free {
     fn of_plant<A: SimulatedAxis>(spec: &A, parameter: CalibratedParameter) -> Self {
         let at = |value| coordinate(parameter.scale, value);
-        let (low, high) = parameter.bounds;
+        let range @ (low, high) = parameter.bounds;
         let centre = at(spec.parameter(&parameter.key));
         Free {
             scale: parameter.scale,
+            range,
             low: at(low),
             high: at(high),
             prior: parameter.sigma.map(|sigma| (centre, sigma)),
@@ -131,7 +141,7 @@ impl Free {
 
     /// Least and largest value, SI.
     pub(crate) fn bounds(&self) -> (f64, f64) {
-        (self.value(self.low), self.value(self.high))
+        self.range
     }
 
     /// Gives a machine a value, SI, held within the bounds.
@@ -154,8 +164,7 @@ impl Free {
             Target::Effect(effect, index) => {
                 let parameter = &effect.parameters[*index];
                 // A bound's logarithm and back is not always the bound, beyond which a plant file would be refused.
-                let (low, high) = spec.range(effect, parameter);
-                let within = value.max(low).min(high);
+                let within = value.max(self.range.0).min(self.range.1);
                 let effects = spec.effects_mut().entry(effect.key.into()).or_default();
                 effects.insert(parameter.name.into(), within);
             }
@@ -449,6 +458,18 @@ impl<A: SimulatedAxis> Fit<A> {
         Fit::at(problem, &start, vec![free]).fitted(problem, iterations)
     }
 
+    /// The machine as its file describes it, with what wear and effects have come to: by its size what is plausible of an effect is told.
+    /// Calibration may be far off while an effect is missing, and a supply of half the pressure would halve the range of a friction.
+    pub(crate) fn as_described(&self) -> A {
+        let mut spec = self.spec.clone();
+        for free in &self.free {
+            if let (Target::Plant(_), Some((centre, _))) = (&free.target, free.prior) {
+                free.write(centre, &mut spec);
+            }
+        }
+        spec
+    }
+
     /// This machine with further parameters, changed to `spec`: the derivatives by what was free before are taken over.
     pub(crate) fn extended(&self, problem: &Problem<'_>, spec: &A, further: Vec<Free>) -> Self {
         let free: Vec<Free> = self.free.iter().cloned().chain(further).collect();
@@ -639,7 +660,7 @@ fn solved(matrix: &DMatrix<f64>, gradient: &DVector<f64>, held: &[Option<f64>]) 
 }
 
 /// A machine's coordinates.
-fn coordinates<A: SimulatedAxis>(spec: &A, free: &[Free]) -> DVector<f64> {
+pub(crate) fn coordinates<A: SimulatedAxis>(spec: &A, free: &[Free]) -> DVector<f64> {
     DVector::from_iterator(free.len(), free.iter().map(|parameter| parameter.read(spec)))
 }
 

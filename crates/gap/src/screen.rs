@@ -86,7 +86,7 @@ fn levels<A: SimulatedAxis>(
     problem: &Problem<'_>,
     calibrated: &Fit<A>,
 ) -> Vec<Vec<f64>> {
-    let spec = &calibrated.spec;
+    let spec = calibrated.as_described();
     let is_event = (0..effect.parameters.len()).any(|index| effect.is_time(index));
     let is_wave = effect.parameters.iter().any(|parameter| parameter.name == "pitch_m");
     let mut combinations: Vec<Vec<f64>> = vec![Vec::new()];

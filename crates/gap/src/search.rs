@@ -2,9 +2,10 @@
 
 use rayon::prelude::*;
 use seepd_sim::effects::EffectInfo;
+use seepd_sim::real::LANES;
 
 use crate::diagnosis::DiagnosisSettings;
-use crate::fit::{Fit, Problem, of_effect, values_of};
+use crate::fit::{Fit, Problem, coordinates, of_effect, prior_cost, values_of};
 use crate::rank::score;
 use crate::screen::{Candidate, screen, with};
 use crate::simulated_axis::SimulatedAxis;
@@ -93,7 +94,34 @@ pub(crate) fn search<A: SimulatedAxis>(
     if may_go_on && found.explanations.iter().all(|one| something_left(problem, &one.fit)) {
         add_effects(problem, untouched, &mut found.explanations, settings);
     }
+    calibrate_no_worse(problem, &mut found, settings);
     found
+}
+
+/// Goes on with calibration where an explanation's machine is better calibrated even without its effects: what the parameters beside an
+/// effect have found out later would be counted as the effect's.
+fn calibrate_no_worse<A: SimulatedAxis>(
+    problem: &Problem<'_>,
+    found: &mut SearchResult<A>,
+    settings: &DiagnosisSettings,
+) {
+    if found.calibrated.spec.is_spent() {
+        return;
+    }
+    let machines: Vec<A> =
+        found.explanations.iter().take(LANES).map(Explanation::without_its_effects).collect();
+    let free = &found.calibrated.free;
+    let best = machines
+        .iter()
+        .zip(problem.residuals(&machines))
+        .map(|(machine, residual)| {
+            (residual.norm_squared() + prior_cost(free, &coordinates(machine, free)), machine)
+        })
+        .min_by(|a, b| a.0.total_cmp(&b.0));
+    if let Some((_, machine)) = best.filter(|(cost, _)| *cost < found.calibrated.cost) {
+        let further = Fit::at(problem, machine, free.clone());
+        found.calibrated = further.fitted(problem, settings.iterations).renewed(problem);
+    }
 }
 
 /// Takes the best fits further, with new derivatives: a fit that has not converged loses to one that has.
@@ -120,12 +148,10 @@ fn repolished<A: SimulatedAxis>(
 ) -> Fit<A> {
     let best = found.explanations.iter().min_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
     let Some(best) = best else { return found.calibrated.clone() };
-    let mut start = best.fit.spec.clone();
-    for effect in &best.effects {
-        start.effects_mut().remove(effect.key);
-    }
     let free = found.calibrated.free.clone();
-    Fit::at(problem, &start, free).fitted(problem, 2 * settings.iterations).renewed(problem)
+    Fit::at(problem, &best.without_its_effects(), free)
+        .fitted(problem, 2 * settings.iterations)
+        .renewed(problem)
 }
 
 /// Fits the most promising effects: those that explain most beside the calibrated machine, and those that do beside the untouched one,
@@ -191,7 +217,7 @@ fn beside<A: SimulatedAxis>(
     values: &[f64],
 ) -> Fit<A> {
     let machine = with(&start.spec, effect, values);
-    start.extended(problem, &machine, of_effect(effect, &machine))
+    start.extended(problem, &machine, of_effect(effect, &start.as_described()))
 }
 
 fn keep_better<'c, A>(
@@ -252,6 +278,15 @@ fn most_likely<A: SimulatedAxis>(
 }
 
 impl<A: SimulatedAxis> Explanation<A> {
+    /// The machine with the parameters beside its effects alone.
+    fn without_its_effects(&self) -> A {
+        let mut machine = self.fit.spec.clone();
+        for effect in &self.effects {
+            machine.effects_mut().remove(effect.key);
+        }
+        machine
+    }
+
     /// Fits the same effects beside the untouched machine, and keeps that where it explains more: while one of them was missing, the
     /// parameters beside them were bent to its part of the gap, and from far off, as a supply of half the pressure, none of them finds back.
     fn try_beside_the_untouched(
@@ -264,7 +299,7 @@ impl<A: SimulatedAxis> Explanation<A> {
         let mut free = untouched.free.clone();
         for effect in &self.effects {
             machine = with(&machine, effect, &values_of(effect, &self.fit.spec));
-            free.extend(of_effect(effect, &machine));
+            free.extend(of_effect(effect, &untouched.spec));
         }
         let anew = Fit::at(problem, &machine, free).fitted_from_afar(problem, settings.iterations);
         if anew.cost < self.fit.cost {

@@ -109,6 +109,17 @@ fn a_spring_that_hardens_is_a_spring() {
     assert!(found.shrink.of_removable > 0.97, "{:?}", found.shrink);
 }
 
+/// The planter's flow curve is a parabola, steep at its beginning, ours a power of the way on the notch.
+#[test]
+fn a_flow_curve_that_is_a_parabola_is_a_bent_flow_curve() {
+    let found = diagnosed(&log(&press(&[("valve_flow_shape", &[("exponent", 1.4)])])));
+    assert_eq!(found.chosen, ["valve_flow_shape"]);
+    let values = &found.effects[0].parameters;
+    let linear = 2.0 * values["notch_start"] / (1.0 + 2.0 * values["notch_start"]);
+    assert!((values["exponent"] - 2.0).abs() < 0.05 && (linear - 0.6).abs() < 0.03, "{values:?}");
+    assert!(found.shrink.of_removable > 0.99, "{:?}", found.shrink);
+}
+
 /// Without one of them, calibration halves the supply's pressure for what the other leaves, and the force that friction may have with it; both
 /// were "unknown".
 #[test]
