@@ -49,6 +49,7 @@ fn lines_for_influx_come_after_each_cycle_and_in_between_and_a_deaf_port_holds_n
     }
     let (leak, silent) = (of_leak.unwrap(), of_silent.unwrap());
     let value = |name: &str| leak.iter().find(|(known, _)| known == name).unwrap().1.clone();
+    until("the page", SOON, || axis_status(port).is_some());
     let status = axis_status(port).unwrap();
     assert_eq!(value("flag_code"), "3i");
     let flow: f64 = value("leak_flow_lpm").parse().unwrap();
