@@ -159,7 +159,8 @@ impl Sender {
     fn connect(socket: &Path, axis: (u16, usize), command: Vec<f64>) -> Self {
         let port = UnixDatagram::unbound().unwrap();
         until("the daemon's socket", Duration::from_secs(20), || port.connect(socket).is_ok());
-        port.set_write_timeout(Some(Duration::from_millis(300))).unwrap();
+        // A daemon that hears nothing for so long has stopped. Shorter stops are the computer's, and what was sent meanwhile comes late.
+        port.set_write_timeout(Some(Duration::from_secs(2))).unwrap();
         Sender::new(Line::Socket(port), axis, command)
     }
 
