@@ -158,15 +158,14 @@ impl Free {
     }
 
     pub(crate) fn write<A: SimulatedAxis>(&self, coordinate: f64, spec: &mut A) {
-        let value = self.value(coordinate);
+        // A bound's logarithm and back is not always the bound, beyond which a plant file would be refused.
+        let value = self.value(coordinate).max(self.range.0).min(self.range.1);
         match &self.target {
             Target::Plant(parameter) => spec.set_parameter(&parameter.key, value),
             Target::Effect(effect, index) => {
                 let parameter = &effect.parameters[*index];
-                // A bound's logarithm and back is not always the bound, beyond which a plant file would be refused.
-                let within = value.max(self.range.0).min(self.range.1);
                 let effects = spec.effects_mut().entry(effect.key.into()).or_default();
-                effects.insert(parameter.name.into(), within);
+                effects.insert(parameter.name.into(), value);
             }
         }
     }

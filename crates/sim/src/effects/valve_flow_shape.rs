@@ -93,7 +93,7 @@ mod tests {
     #[test]
     fn from_the_tip_it_is_a_power_to_the_bit() {
         for (exponent, command) in [(1.4, 0.3), (0.7, -0.02), (2.0, 1e-5), (1.3, -1.0)] {
-            let power = command * libm::pow(f64::abs(command).max(1e-4), exponent - 1.0);
+            let power = command * Real::pow(f64::abs(command).max(1e-4), exponent - 1.0);
             assert_eq!(spool(&[exponent, 0.0], command), power);
         }
     }
