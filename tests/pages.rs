@@ -296,11 +296,10 @@ fn command_lines_of_the_pages_run() {
     let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
     let (mut run, mut failed) = (vec![0; RUN.len()], Vec::new());
     let mut seen = HashSet::new();
-    for line in all_lines().iter().filter(|line| !line.is_mentioned && !line.text.contains("://")) {
-        // What several pages have runs once.
-        if !seen.insert(&line.text) {
-            continue;
-        }
+    // What several pages have runs once.
+    let runs =
+        |line: &&Line| !line.is_mentioned && !line.text.contains("://") && seen.insert(line.text.clone());
+    for line in all_lines().iter().filter(runs) {
         let Some(which) = RUN.iter().position(|begin| line.text.starts_with(begin)) else { continue };
         let words = commands_of(&line.text).remove(0);
         assert!(!line.text.contains(" /"), "{}: outside of the scratch folder", line.place);

@@ -172,7 +172,7 @@ pub(crate) fn ask(port: u16, method: &str, path: &str, headers: &str) -> Option<
 /// The same with something to say.
 pub(crate) fn ask_with(port: u16, method: &str, path: &str, headers: &str, said: &str) -> Option<Answer> {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).ok()?;
-    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
     let host = if headers.contains("Host:") { String::new() } else { format!("Host: 127.0.0.1:{port}\r\n") };
     let request = format!(
         "{method} {path} HTTP/1.1\r\n{host}{headers}Connection: close\r\nContent-Length: {}\r\n\r\n{said}",
