@@ -94,17 +94,18 @@ pub fn diagnose_axis<A: SimulatedAxis>(
     let within = ChangeWithin {
         kind: change.kind,
         from_cycle: change.from + 1,
-        before: effects_before(&before, &machine, &diagnosis.chosen, settings.iterations),
+        before: effects_before(&before, (spec, &machine), &diagnosis.chosen, settings.iterations),
     };
     diagnosis.notes.insert(0, told_change(&within, record.cycles.len()));
     diagnosis.change = Some(within);
     (diagnosis, machine)
 }
 
-/// What the chosen effects' values were in another part of the record, on the machine as diagnosed otherwise.
+/// What the chosen effects' values were in another part of the record, on the machine as diagnosed otherwise, in the ranges of the machine
+/// as its file describes it.
 fn effects_before<A: SimulatedAxis>(
     record: &Record,
-    machine: &A,
+    (spec, machine): (&A, &A),
     chosen: &[&'static str],
     iterations: usize,
 ) -> BTreeMap<&'static str, BTreeMap<&'static str, f64>> {
@@ -112,7 +113,7 @@ fn effects_before<A: SimulatedAxis>(
     let problem = Problem::new(record, &cycles);
     let effects: Vec<&'static EffectInfo> =
         machine.catalogue().into_iter().filter(|effect| chosen.contains(&effect.key)).collect();
-    let free = effects.iter().flat_map(|effect| of_effect(effect, machine)).collect();
+    let free = effects.iter().flat_map(|effect| of_effect(effect, spec)).collect();
     let fit = Fit::at(&problem, machine, free).fitted_from_afar(&problem, iterations);
     let values = |effect: &&'static EffectInfo| {
         let names = effect.parameters.iter().map(|parameter| parameter.name);
