@@ -558,6 +558,7 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         let (likely, others) = machines.split_at(machines.len().min(LANES));
         let mut gaps = self.held_out.gaps(likely);
         gaps.extend(self.held_out.first().gaps(others));
+        let leaves_a_gap = self.held_out.largest_over_expected(&gaps[2]) > NO_GAP;
         let shrink = |now: &[f64], to_floor: bool| self.held_out.shrink(&gaps[0], now, to_floor);
         let findings: Vec<RankedEffect> = effects
             .iter()
@@ -613,9 +614,9 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             effects: findings,
             next_test: if settings.next_test { self.next_test() } else { None },
             learned: self.learned_curves(&gaps[0]),
-            sensors: self.sensors(&of_chosen),
+            sensors: transducers::believable(&record.signals, &of_chosen, leaves_a_gap),
             change: None,
-            notes: self.notes(&of_chosen, &gaps[2]),
+            notes: self.notes(&of_chosen, leaves_a_gap),
             curves: self.curves(&machines[..3]),
         }
     }
@@ -666,14 +667,13 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         told
     }
 
-    /// What there is to know of the log, with the transducers that are worth a check. A machine that leaves a gap tells nothing of them: what
-    /// it does not explain they would have to.
-    fn notes(&self, errors: &[Option<SensorError>], gaps: &[f64]) -> Vec<String> {
+    /// What there is to know of the log, with the transducers that are worth a check; a machine that leaves a gap tells nothing of them.
+    fn notes(&self, errors: &[Option<SensorError>], leaves_a_gap: bool) -> Vec<String> {
         let mut notes = self.record.notes.clone();
         if self.adopted.is_some_and(|one| one.law.site == Site::Seal) {
             notes.push("the learned law is a flow past the piston: the leak is what it and the leak area pass together".into());
         }
-        if self.held_out.largest_over_expected(gaps) > NO_GAP {
+        if leaves_a_gap {
             return notes;
         }
         let worth_a_check = transducers::worth_a_check(&self.record.signals, errors);
@@ -686,12 +686,6 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             )
         }));
         notes
-    }
-
-    /// What the sensors' classes take of the difference to the machine as diagnosed.
-    fn sensors(&self, errors: &[Option<SensorError>]) -> BTreeMap<&'static str, SensorError> {
-        let signals = self.record.signals.iter();
-        signals.zip(errors).filter_map(|(signal, error)| Some((signal.name(), (*error)?))).collect()
     }
 
     /// Where balances fail on what was there, beside what the sensors of the machine as diagnosed are off by. The machine that is held

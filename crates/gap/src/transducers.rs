@@ -4,6 +4,8 @@
 //! fitted: differences are weighed by the inverse of 1 + N Nᵀ, N the shapes times their standard deviations (Kennedy and O'Hagan, Journal
 //! of the Royal Statistical Society B 63 (2001), for a discrepancy of known form).
 
+use std::collections::BTreeMap;
+
 use seepd_signals::Signal;
 use seepd_sim::SensorError;
 
@@ -31,6 +33,23 @@ const BEYOND_ITS_CLASS: f64 = 3.0;
 /// How many standard deviations of its class a signal's sensor is off by.
 fn of_its_class(error: SensorError, class: Class) -> f64 {
     (error.gain / class.gain).hypot(error.zero / class.zero)
+}
+
+/// The errors that are worth telling, by signal. What a machine that leaves a gap does not explain its sensors would have to: of such a machine
+/// those are left out that no transducer has.
+pub(crate) fn believable(
+    signals: &[Signal],
+    errors: &[Option<SensorError>],
+    leaves_a_gap: bool,
+) -> BTreeMap<&'static str, SensorError> {
+    let named = signals.iter().zip(errors).filter_map(|(signal, error)| Some((*signal, (*error)?)));
+    let is_believable = |signal: Signal, error: SensorError| {
+        class_of(signal).is_none_or(|class| of_its_class(error, class) <= BEYOND_ITS_CLASS)
+    };
+    named
+        .filter(|(signal, error)| !leaves_a_gap || is_believable(*signal, *error))
+        .map(|(signal, error)| (signal.name(), error))
+        .collect()
 }
 
 /// The transducers that are further off than their class allows, unless half of them and more than one are: transducers fail one by one, and
@@ -168,6 +187,17 @@ mod tests {
         assert_eq!(told([0.004, 0.03, -0.04]), []);
         // The only one that there is.
         assert_eq!(worth_a_check(&signals[2..3], &[off(0.03)]).len(), 1);
+    }
+
+    #[test]
+    fn a_machine_that_leaves_a_gap_blames_no_transducer_for_it() {
+        let signals = [Signal::Position, Signal::PSupply, Signal::PCap];
+        let within = SensorError { gain: 0.01, zero: 8e4 };
+        let beyond = SensorError { gain: -0.22, zero: 9e5 };
+        let errors = [None, Some(within), Some(beyond)];
+        let told = |leaves_a_gap| believable(&signals, &errors, leaves_a_gap);
+        assert_eq!(told(true), BTreeMap::from([("p_supply", within)]));
+        assert_eq!(told(false), BTreeMap::from([("p_supply", within), ("p_cap", beyond)]));
     }
 
     #[test]
