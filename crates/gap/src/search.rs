@@ -119,9 +119,18 @@ fn calibrate_no_worse<A: SimulatedAxis>(
         })
         .min_by(|a, b| a.0.total_cmp(&b.0));
     if let Some((_, machine)) = best.filter(|(cost, _)| *cost < found.calibrated.cost) {
-        let further = Fit::at(problem, machine, free.clone());
-        found.calibrated = further.fitted(problem, settings.iterations).renewed(problem);
+        found.calibrated = calibrated_from(problem, machine, &found.calibrated, settings.iterations);
     }
+}
+
+/// Calibration that begins at another machine.
+fn calibrated_from<A: SimulatedAxis>(
+    problem: &Problem<'_>,
+    machine: &A,
+    calibrated: &Fit<A>,
+    iterations: usize,
+) -> Fit<A> {
+    Fit::at(problem, machine, calibrated.free.clone()).fitted(problem, iterations).renewed(problem)
 }
 
 /// Takes the best fits further, with new derivatives: a fit that has not converged loses to one that has.
@@ -148,10 +157,7 @@ fn repolished<A: SimulatedAxis>(
 ) -> Fit<A> {
     let best = found.explanations.iter().min_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
     let Some(best) = best else { return found.calibrated.clone() };
-    let free = found.calibrated.free.clone();
-    Fit::at(problem, &best.without_its_effects(), free)
-        .fitted(problem, 2 * settings.iterations)
-        .renewed(problem)
+    calibrated_from(problem, &best.without_its_effects(), &found.calibrated, 2 * settings.iterations)
 }
 
 /// Fits the most promising effects: those that explain most beside the calibrated machine, and those that do beside the untouched one,
@@ -259,7 +265,7 @@ fn add_effects<A: SimulatedAxis>(
         }
         grown
             .par_iter_mut()
-            .filter(|one| something_left(problem, &one.fit))
+            .filter(|one| !untouched.spec.is_spent() && something_left(problem, &one.fit))
             .for_each(|one| one.try_beside_the_untouched(problem, untouched, settings));
         bases = most_likely(problem, &grown, 1);
         explanations.extend(grown.into_iter().filter(|one| !one.is_idle()));
@@ -309,9 +315,6 @@ impl<A: SimulatedAxis> Explanation<A> {
 
     /// Whether one of its effects has been fitted away.
     fn is_idle(&self) -> bool {
-        self.effects.iter().any(|effect| {
-            let values = values_of(effect, &self.fit.spec);
-            effect.parameters.iter().zip(values).all(|(parameter, value)| value == parameter.neutral)
-        })
+        self.effects.iter().any(|effect| effect.is_neutral(&values_of(effect, &self.fit.spec)))
     }
 }

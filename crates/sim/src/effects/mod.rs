@@ -231,6 +231,11 @@ impl EffectInfo {
             .get(parameter)
             .is_some_and(|parameter| matches!(parameter.name, "start_s" | "duration_s"))
     }
+
+    /// Whether these values, in the order of the parameters, leave the machine as it is.
+    pub fn is_neutral(&self, values: &[f64]) -> bool {
+        self.parameters.iter().zip(values).all(|(parameter, value)| *value == parameter.neutral)
+    }
 }
 
 /// An effect: its description, and the way to its law.
@@ -244,7 +249,7 @@ pub trait Effect: Sync {
 
     /// Whether these values leave the plant as it is.
     fn is_neutral(&self, values: &[f64]) -> bool {
-        self.parameters().iter().zip(values).all(|(parameter, value)| *value == parameter.neutral)
+        self.info().is_neutral(values)
     }
     /// Key in files, on the command line and in reports.
     fn key(&self) -> &'static str {
