@@ -156,7 +156,9 @@ fn frames_reach_every_sink_and_an_acknowledgement_comes_back() {
 
     // The machine stops: stale within two seconds and a bit, told everywhere; it starts again: back.
     machine.stop();
-    until("staleness", Duration::from_secs(4), || axis_status(port).unwrap()["stale"] == true);
+    let (stopped, bit) = (Instant::now(), Duration::from_secs(4));
+    until("staleness", bit, || axis_status(port).unwrap()["stale"] == true);
+    assert!(stopped.elapsed() < bit, "{:?}", stopped.elapsed());
     let status = axis_status(port).unwrap();
     assert_eq!((status["flag"].as_str(), status["reason"].as_str()), (Some("no_estimate"), Some("stale")));
     assert_eq!(status["level"], "severe");

@@ -52,8 +52,8 @@ pub struct Diagnosis {
     pub leak: Leaks,
     /// What would tell apart what this log cannot.
     pub distinguish: Vec<String>,
-    /// How far each pressure's sensor is most likely off, beside the machine as diagnosed; where that leaves a gap, only what is within the
-    /// sensor's class.
+    /// How far each pressure's sensor is most likely off, beside the machine as diagnosed; where that leaves a gap, only what a
+    /// sensor of its class may be off by.
     pub sensors: BTreeMap<&'static str, SensorError>,
     /// How the machine changed within the log; what is diagnosed then is the machine as it is at its end.
     pub change: Option<ChangeWithin>,

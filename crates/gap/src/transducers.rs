@@ -30,9 +30,9 @@ fn class_of(signal: Signal) -> Option<Class> {
 /// Standard deviations of its class from which a transducer is worth a check.
 const BEYOND_ITS_CLASS: f64 = 3.0;
 
-/// How many standard deviations of its class a signal's sensor is off by.
-fn of_its_class(error: SensorError, class: Class) -> f64 {
-    (error.gain / class.gain).hypot(error.zero / class.zero)
+/// How many standard deviations of its class a signal's sensor is off by; none for a signal whose sensor has no class.
+fn deviations(signal: Signal, error: SensorError) -> Option<f64> {
+    class_of(signal).map(|class| (error.gain / class.gain).hypot(error.zero / class.zero))
 }
 
 /// The errors that are worth telling, by signal. What a machine that leaves a gap does not explain its sensors would have to: of such a machine
@@ -43,11 +43,9 @@ pub(crate) fn believable(
     leaves_a_gap: bool,
 ) -> BTreeMap<&'static str, SensorError> {
     let named = signals.iter().zip(errors).filter_map(|(signal, error)| Some((*signal, (*error)?)));
-    let is_believable = |signal: Signal, error: SensorError| {
-        class_of(signal).is_none_or(|class| of_its_class(error, class) <= BEYOND_ITS_CLASS)
-    };
+    let is_within = |signal, error| deviations(signal, error).is_none_or(|off| off <= BEYOND_ITS_CLASS);
     named
-        .filter(|(signal, error)| !leaves_a_gap || is_believable(*signal, *error))
+        .filter(|(signal, error)| !leaves_a_gap || is_within(*signal, *error))
         .map(|(signal, error)| (signal.name(), error))
         .collect()
 }
@@ -61,7 +59,7 @@ pub(crate) fn worth_a_check(
     let judged: Vec<(Signal, SensorError, f64)> = signals
         .iter()
         .zip(errors)
-        .filter_map(|(signal, error)| Some((*signal, (*error)?, of_its_class((*error)?, class_of(*signal)?))))
+        .filter_map(|(signal, error)| Some((*signal, (*error)?, deviations(*signal, (*error)?)?)))
         .collect();
     let beyond: Vec<(Signal, SensorError)> = judged
         .iter()
