@@ -9,6 +9,7 @@ use rustls::ClientConfig;
 use seepd_settings::side_file;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
+use tokio::time::timeout;
 
 use crate::config::{MqttConfig, MqttVersion};
 use crate::failure::Failure;
@@ -16,8 +17,11 @@ use crate::sink::tls;
 
 /// Time after which a silent broker is asked whether it is there.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
-/// Requests under way to the connection.
+/// Requests under way to the connection, and what it tells under way from it.
 const REQUESTS: usize = 64;
+/// Time in which a request must find room: a broker that reads nothing, or one that tells more than is heard meanwhile, would hold up
+/// whoever asks for ever.
+const ROOM: Duration = Duration::from_secs(5);
 
 /// A client of either version.
 enum Client {
@@ -26,6 +30,17 @@ enum Client {
 }
 
 impl Client {
+    async fn publish(&self, topic: String, message: Vec<u8>, qos: QoS, retain: bool) -> Result<(), String> {
+        match self {
+            Client::V3(client) => {
+                client.publish(topic, qos, retain, message).await.map_err(|error| error.to_string())
+            }
+            Client::V5(client) => {
+                client.publish(topic, qos_5(qos), retain, message).await.map_err(|error| error.to_string())
+            }
+        }
+    }
+
     fn try_publish(&self, topic: String, word: &str) -> Result<(), String> {
         let (qos, word) = (QoS::AtMostOnce, word.to_owned());
         match self {
@@ -119,6 +134,8 @@ pub(super) struct Connection {
     client: Client,
     events: mpsc::Receiver<ConnectionEvent>,
     task: JoinHandle<()>,
+    /// Time in which a request must find room.
+    patience: Duration,
 }
 
 impl Drop for Connection {
@@ -135,7 +152,7 @@ impl Connection {
             MqttVersion::V3 => open_3(link, sender),
             MqttVersion::V5 => open_5(link, sender),
         };
-        Connection { client, events, task }
+        Connection { client, events, task, patience: ROOM }
     }
 
     /// What it tells next; nothing any more after a loss.
@@ -143,7 +160,7 @@ impl Connection {
         self.events.recv().await
     }
 
-    /// Sends a message; waits where many requests are under way.
+    /// Sends a message; waits for a while where many requests are under way.
     pub(super) async fn publish(
         &self,
         topic: String,
@@ -151,14 +168,9 @@ impl Connection {
         qos: QoS,
         retain: bool,
     ) -> Result<(), String> {
-        match &self.client {
-            Client::V3(client) => {
-                client.publish(topic, qos, retain, message).await.map_err(|error| error.to_string())
-            }
-            Client::V5(client) => {
-                client.publish(topic, qos_5(qos), retain, message).await.map_err(|error| error.to_string())
-            }
-        }
+        timeout(self.patience, self.client.publish(topic, message, qos, retain))
+            .await
+            .unwrap_or_else(|_| Err(format!("it has taken no message for {:?}", self.patience)))
     }
 
     /// Announces this client by a retained word. The request waits in the connection's queue, which must have room.
@@ -277,4 +289,25 @@ pub fn credentials(config: &MqttConfig) -> Result<(Option<String>, Option<Arc<Cl
     let own = config.certificate_file.as_deref().zip(config.key_file.as_deref());
     let tls = if config.tls { Some(tls::client(&config.ca_file, own)?) } else { None };
     Ok((password, tls))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A broker that reads nothing, or a connection that waits for somebody to hear what it tells: nobody works on the requests.
+    #[tokio::test]
+    async fn a_connection_that_takes_no_message_is_given_up() {
+        let options = rumqttc::MqttOptions::new("test", "localhost", 1883);
+        let (client, _idle) = rumqttc::AsyncClient::new(options, REQUESTS);
+        let (_, events) = mpsc::channel(1);
+        let patience = Duration::from_millis(50);
+        let task = tokio::spawn(async {});
+        let connection = Connection { client: Client::V3(client), events, task, patience };
+        let publish = || connection.publish("t".into(), Vec::new(), QoS::AtMostOnce, true);
+        for _ in 0..REQUESTS {
+            publish().await.unwrap();
+        }
+        assert_eq!(publish().await, Err("it has taken no message for 50ms".into()));
+    }
 }

@@ -30,8 +30,6 @@ pub const SINK: &str = "sparkplug";
 const NAMESPACE: &str = "spBv1.0";
 /// The metric by which a host asks for new births.
 const REBIRTH: &str = "Node Control/Rebirth";
-/// Time in which a message must find room on its way to the broker.
-const ROOM: Duration = Duration::from_secs(2);
 /// Births that were asked for come at most this often.
 const REBIRTH_EVERY: Duration = Duration::from_secs(1);
 
@@ -238,20 +236,16 @@ impl Node {
             return;
         };
         let payload = Payload { seq: Some(self.sequence.into()), ..payload };
-        let sent = connection.publish(topic, payload.encode_to_vec(), QoS::AtMostOnce, false);
-        match timeout(ROOM, sent).await {
-            Ok(Ok(())) => {
+        match connection.publish(topic, payload.encode_to_vec(), QoS::AtMostOnce, false).await {
+            Ok(()) => {
                 self.sequence = self.sequence.wrapping_add(1);
                 self.sent += 1;
             }
-            Ok(Err(error)) => self.give_up(&error),
-            Err(_) => self.give_up("it takes no messages"),
+            Err(error) => {
+                self.dropped += 1;
+                self.lose(&error);
+            }
         }
-    }
-
-    fn give_up(&mut self, why: &str) {
-        self.dropped += 1;
-        self.lose(why);
     }
 
     /// Gives the connection up; another is tried after a while, a longer one each time.
