@@ -43,6 +43,30 @@ pub(crate) fn unexplained(left: f64) -> f64 {
     1.0 / (1.0 + ((HALF_EXPLAINED.0 - left) / HALF_EXPLAINED.1).exp())
 }
 
+/// Whether a machine leaves so much of what calibration leaves that its effects rather imitate the cause.
+pub(crate) fn rather_imitates<A>(
+    problem: &Problem<'_>,
+    calibrated: &Fit<A>,
+    explanation: &Explanation<A>,
+) -> bool {
+    unexplained(left(problem, calibrated, explanation)) > 0.5
+}
+
+/// Share that a machine leaves of what calibration leaves: of the evidence, in which small signals count as much as large ones, and of the
+/// size, in which a real machine's many small rests do not outweigh what was explained. Shares of next to nothing say nothing.
+fn left<A>(problem: &Problem<'_>, calibrated: &Fit<A>, explanation: &Explanation<A>) -> f64 {
+    let size = |fit: &Fit<A>| problem.by_signal(&fit.residual).iter().sum::<f64>().sqrt();
+    let gap = beyond_noise(problem, calibrated);
+    let of_evidence = beyond_noise(problem, &explanation.fit) / gap.max(0.1 * EVIDENT);
+    let of_size = if of_evidence > 0.0 { size(&explanation.fit) / size(calibrated) } else { 0.0 };
+    0.5 * (of_evidence + of_size) + SHARE_OF_ANOTHER * (explanation.effects.len() - 1) as f64
+}
+
+/// Evidence of a gap beyond what differs from cycle to cycle.
+fn beyond_noise<A>(problem: &Problem<'_>, fit: &Fit<A>) -> f64 {
+    (evidence(&problem.by_signal(&fit.residual)) - evidence(&problem.noise)).max(0.0)
+}
+
 /// Minus the log-likelihood of mean squares by signal, over half the independent values.
 pub(crate) fn evidence(by_signal: &[f64]) -> f64 {
     by_signal.iter().map(|square| square.ln_1p()).sum()
@@ -72,19 +96,9 @@ pub(crate) fn rank<A: SimulatedAxis>(
     let weights: Vec<f64> = logs.iter().map(|log| (log - highest).exp()).collect();
     let sum: f64 = weights.iter().sum();
 
-    let beyond_noise =
-        |fit: &Fit<A>| (evidence(&problem.by_signal(&fit.residual)) - evidence(&problem.noise)).max(0.0);
-    let gap = beyond_noise(calibrated);
-    let none = weights[0] / sum / (1.0 + (gap / EVIDENT).powi(4));
-    let size = |fit: &Fit<A>| problem.by_signal(&fit.residual).iter().sum::<f64>().sqrt();
+    let none = weights[0] / sum / (1.0 + (beyond_noise(problem, calibrated) / EVIDENT).powi(4));
     let best = explanations.iter().zip(&weights[1..]).max_by(|a, b| a.1.total_cmp(b.1));
-    let left = best.map_or(1.0, |(best, _)| {
-        // Of the evidence, in which small signals count as much as large ones, and of the size, in which a real machine's many small rests
-        // do not outweigh what was explained. Shares of next to nothing say nothing.
-        let of_evidence = beyond_noise(&best.fit) / gap.max(0.1 * EVIDENT);
-        let of_size = if of_evidence > 0.0 { size(&best.fit) / size(calibrated) } else { 0.0 };
-        0.5 * (of_evidence + of_size) + SHARE_OF_ANOTHER * (best.effects.len() - 1) as f64
-    });
+    let left = best.map_or(1.0, |(best, _)| left(problem, calibrated, best));
     let unexplained = unexplained(left);
     let with_effects = (sum - weights[0]).max(f64::MIN_POSITIVE);
     let named = (1.0 - none) * (1.0 - unexplained);

@@ -6,7 +6,7 @@ use seepd_sim::real::LANES;
 
 use crate::diagnosis::DiagnosisSettings;
 use crate::fit::{Fit, Problem, coordinates, of_effect, prior_cost, values_of};
-use crate::rank::score;
+use crate::rank::{rather_imitates, score};
 use crate::screen::{Candidate, screen, with};
 use crate::simulated_axis::SimulatedAxis;
 
@@ -91,8 +91,8 @@ pub(crate) fn search<A: SimulatedAxis>(
     }
     polish(problem, &mut found.explanations, settings);
     let may_go_on = !untouched.spec.is_spent();
-    if may_go_on && found.explanations.iter().all(|one| something_left(problem, &one.fit)) {
-        add_effects(problem, untouched, &mut found.explanations, settings);
+    if may_go_on && found.explanations.iter().all(|one| wants_another(problem, &found.calibrated, one)) {
+        add_effects(problem, (untouched, &found.calibrated), &mut found.explanations, settings);
     }
     calibrate_no_worse(problem, &mut found, settings);
     found
@@ -143,6 +143,12 @@ fn polish<A: SimulatedAxis>(
         one.fit = one.fit.clone().renewed(problem).fitted(problem, settings.iterations).renewed(problem);
     });
     explanations.sort_by(|a, b| a.fit.cost.total_cmp(&b.fit.cost));
+}
+
+/// Whether a machine leaves something that a further effect may explain.
+fn wants_another<A>(problem: &Problem<'_>, calibrated: &Fit<A>, one: &Explanation<A>) -> bool {
+    something_left(problem, &one.fit)
+        || (something_left(problem, calibrated) && rather_imitates(problem, calibrated, one))
 }
 
 fn something_left<A>(problem: &Problem<'_>, fit: &Fit<A>) -> bool {
@@ -239,17 +245,18 @@ fn keep_better<'c, A>(
     }
 }
 
-/// Forward selection: the best machines get a further effect as long as something is left and the next one takes much of it.
+/// Forward selection: the best machines get a further effect as long as something is left and the next one takes much of it. What the best
+/// of all can do without is left out again.
 fn add_effects<A: SimulatedAxis>(
     problem: &Problem<'_>,
-    untouched: &Fit<A>,
+    (untouched, calibrated): (&Fit<A>, &Fit<A>),
     explanations: &mut Vec<Explanation<A>>,
     settings: &DiagnosisSettings,
 ) {
     let mut bases = most_likely(problem, explanations, BEAM);
     for _ in 1..MOST_EFFECTS {
         let mut grown: Vec<Explanation<A>> = Vec::new();
-        for base in bases.iter().filter(|base| something_left(problem, &base.fit)) {
+        for base in bases.iter().filter(|base| wants_another(problem, calibrated, base)) {
             let fit = base.fit.clone().renewed(problem);
             let next = screen(problem, &fit, &settings.without);
             let tried: Vec<Explanation<A>> = next
@@ -269,6 +276,22 @@ fn add_effects<A: SimulatedAxis>(
             .for_each(|one| one.try_beside_the_untouched(problem, untouched, settings));
         bases = most_likely(problem, &grown, 1);
         explanations.extend(grown.into_iter().filter(|one| !one.is_idle()));
+    }
+    if !untouched.spec.is_spent() {
+        for best in most_likely(problem, explanations, 1) {
+            let best = best.with_the_step_that_is_read(problem, settings).unwrap_or(best);
+            let fewer = best.with_one_less(problem, settings).into_iter().filter(|one| !one.is_idle());
+            fewer.for_each(|one| keep_better_of_the_same(explanations, one));
+        }
+    }
+}
+
+/// Keeps a machine in the place of one with the same effects that explains less, or beside the others.
+fn keep_better_of_the_same<A: SimulatedAxis>(explanations: &mut Vec<Explanation<A>>, one: Explanation<A>) {
+    match explanations.iter_mut().find(|other| other.has_the_effects_of(&one)) {
+        Some(other) if one.fit.cost < other.fit.cost => other.fit = one.fit,
+        Some(_) => {}
+        None => explanations.push(one),
     }
 }
 
@@ -311,6 +334,40 @@ impl<A: SimulatedAxis> Explanation<A> {
         if anew.cost < self.fit.cost {
             self.fit = anew;
         }
+    }
+
+    /// The machine whose position is read in the steps that the log itself shows, where it lacks them: what takes so little of the gap is
+    /// found last, if at all, and something else has imitated the hunting that it brings.
+    fn with_the_step_that_is_read(
+        &self,
+        problem: &Problem<'_>,
+        settings: &DiagnosisSettings,
+    ) -> Option<Self> {
+        let step_m = problem.record.position_step_m?;
+        let is_a_step = |effect: &&EffectInfo| effect.parameters.iter().any(|p| p.name == "step_m");
+        let step = self.fit.spec.catalogue().into_iter().find(is_a_step)?;
+        if self.has(step.key) || settings.without.iter().any(|key| key == step.key) {
+            return None;
+        }
+        let fit = beside(problem, &self.fit, step, &[step_m]).fitted(problem, settings.iterations);
+        Some(Explanation { effects: self.effects.iter().copied().chain([step]).collect(), fit })
+    }
+
+    /// Machines that lack one of its effects, fitted from where it stands: an effect that was found early may have stood for one that was
+    /// found later, and a machine that got stuck beside fewer effects is reached over more.
+    fn with_one_less(&self, problem: &Problem<'_>, settings: &DiagnosisSettings) -> Vec<Self> {
+        if self.effects.len() < MOST_EFFECTS {
+            return Vec::new();
+        }
+        let lacking = |left_out: &&'static EffectInfo| {
+            let effects: Vec<_> = self.effects.iter().copied().filter(|e| e.key != left_out.key).collect();
+            let mut machine = self.fit.spec.clone();
+            machine.effects_mut().remove(left_out.key);
+            let free = self.fit.free.iter().filter(|free| !free.is_of(&[left_out.key])).cloned().collect();
+            let fit = Fit::at(problem, &machine, free).fitted(problem, settings.iterations);
+            Explanation { effects, fit }
+        };
+        self.effects.par_iter().map(lacking).collect()
     }
 
     /// Whether one of its effects has been fitted away.
