@@ -225,9 +225,6 @@ pub enum Shortage {
     /// That many are not whole.
     #[error("{0} cut off or with gaps")]
     Incomplete(usize),
-    /// That many are of another kind.
-    #[error("{0} are of another kind")]
-    OfAnotherKind(usize),
 }
 
 /// One cycle in bins.
@@ -271,6 +268,71 @@ const MISSING_SHARE: f64 = 0.01;
 /// Least correlation of demand (or position) with the plan.
 const LEAST_CORRELATION: f64 = 0.9;
 
+/// Where cycles begin, by the log's demand, or by what the controller must have been asked for.
+fn starts_of_cycles<A: SimulatedAxis>(
+    log: &Log,
+    spec: &A,
+    ticks: usize,
+    notes: &mut Vec<String>,
+) -> Result<Vec<usize>, RecordError> {
+    let missing = || RecordError::Missing(Signal::Demand.name());
+    let asked = match (log.get(Signal::Demand), log.get(Signal::Command), log.get(Signal::Position)) {
+        (None, Some(command), Some(position)) => spec.asked_m(command, position).ok_or_else(missing)?,
+        _ => Vec::new(),
+    };
+    let guide = log.get(Signal::Demand).unwrap_or(&asked);
+    if guide.is_empty() {
+        return Err(missing());
+    }
+    if log.get(Signal::Demand).is_none() {
+        notes.push("the log has no demand; that of the plant file is used, aligned with what the controller must have been asked for".into());
+    }
+    if log.get(Signal::Load).is_none() {
+        notes.push("the log has no load; that of the plant file is used".into());
+    }
+    if guide.len() < ticks {
+        return Err(RecordError::TooFew { found: 0, shortage: Shortage::ShorterThanACycle });
+    }
+    let plan: Vec<f64> =
+        (0..ticks).map(|tick| spec.duty_cycle().demand_m(tick as f64 * spec.tick_s())).collect();
+    let (starts, best) = starts(guide, &plan);
+    if best < LEAST_CORRELATION {
+        let signals = match log.get(Signal::Demand) {
+            Some(_) => "the log's demand",
+            None => "the log's command and position",
+        };
+        return Err(Mismatch::DutyCycle { signals, correlation: best }.into());
+    }
+    Ok(starts)
+}
+
+/// Leaves out the cycles that are of another kind than the rest, if that is most of them.
+fn leave_out_others<A: SimulatedAxis>(
+    cycles: &mut Vec<RecordedCycle>,
+    signals: &[Signal],
+    spec: &A,
+    notes: &mut Vec<String>,
+) -> Result<(), RecordError> {
+    let range = ranges(cycles, signals.len());
+    let others = of_another_kind(cycles, &range);
+    if others.len() * 2 > cycles.len() || cycles.len() - others.len() < LEAST_CYCLES {
+        // Signals that do not belong together differ from cycle to cycle as well: that is the better answer.
+        plausible(signals, cycles, spec)?;
+        return Err(Mismatch::CyclesDiffer.into());
+    }
+    if others.is_empty() {
+        return Ok(());
+    }
+    notes
+        .push(format!("{} cycles were left out, since they are of another kind than the rest", others.len()));
+    let mut number = 0;
+    cycles.retain(|_| {
+        number += 1;
+        !others.contains(&(number - 1))
+    });
+    Ok(())
+}
+
 impl Record {
     /// Aligns and cuts a log.
     ///
@@ -293,35 +355,7 @@ impl Record {
                 "the log has a value every {slowest} ticks of the controller or so; those between are taken on straight lines"
             ));
         }
-        let plan: Vec<f64> =
-            (0..ticks).map(|tick| spec.duty_cycle().demand_m(tick as f64 * spec.tick_s())).collect();
-        let asked = match (log.get(Signal::Demand), log.get(Signal::Command), log.get(Signal::Position)) {
-            (None, Some(command), Some(position)) => {
-                spec.asked_m(command, position).ok_or(RecordError::Missing(Signal::Demand.name()))?
-            }
-            _ => Vec::new(),
-        };
-        let guide = log.get(Signal::Demand).unwrap_or(&asked);
-        if guide.is_empty() {
-            return Err(RecordError::Missing(Signal::Demand.name()));
-        }
-        if log.get(Signal::Demand).is_none() {
-            notes.push("the log has no demand; that of the plant file is used, aligned with what the controller must have been asked for".into());
-        }
-        if log.get(Signal::Load).is_none() {
-            notes.push("the log has no load; that of the plant file is used".into());
-        }
-        if guide.len() < ticks {
-            return Err(RecordError::TooFew { found: 0, shortage: Shortage::ShorterThanACycle });
-        }
-        let (starts, best) = starts(guide, &plan);
-        if best < LEAST_CORRELATION {
-            let signals = match log.get(Signal::Demand) {
-                Some(_) => "the log's demand",
-                None => "the log's command and position",
-            };
-            return Err(Mismatch::DutyCycle { signals, correlation: best }.into());
-        }
+        let starts = starts_of_cycles(log, spec, ticks, &mut notes)?;
         let signals: Vec<Signal> =
             spec.signals().into_iter().filter(|signal| log.get(*signal).is_some()).collect();
         let (mut cycles, mut incomplete) = (Vec::new(), 0);
@@ -341,28 +375,7 @@ impl Record {
         if cycles.len() < ENOUGH_CYCLES {
             notes.push(format!("only {} cycles: probabilities and intervals are wide", cycles.len()));
         }
-        let range = ranges(&cycles, signals.len());
-        let others = of_another_kind(&cycles, &range);
-        if others.len() * 2 > cycles.len() || cycles.len() - others.len() < LEAST_CYCLES {
-            // Signals that do not belong together differ from cycle to cycle as well: that is the better answer.
-            plausible(&signals, &cycles, spec)?;
-            return Err(Mismatch::CyclesDiffer.into());
-        }
-        if !others.is_empty() {
-            notes.push(format!(
-                "{} cycles were left out, since they are of another kind than the rest",
-                others.len()
-            ));
-            let mut number = 0;
-            cycles.retain(|_| {
-                number += 1;
-                !others.contains(&(number - 1))
-            });
-        }
-        if cycles.len() < LEAST_CYCLES {
-            let shortage = Shortage::OfAnotherKind(others.len());
-            return Err(RecordError::TooFew { found: cycles.len(), shortage });
-        }
+        leave_out_others(&mut cycles, &signals, spec, &mut notes)?;
         let range = ranges(&cycles, signals.len());
         let floor = floors(&cycles, &range);
         plausible(&signals, &cycles, spec)?;

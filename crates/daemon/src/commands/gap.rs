@@ -5,14 +5,12 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use clap::{Args, Subcommand};
-use seepd_gap::report::{Diagnosis, Verdict};
+use seepd_gap::report::Diagnosis;
 use seepd_gap::{
     CalibrationProblem, Diagnosable, DiagnosisSettings, Log, Record, RecordError, Run, SimulatedAxis,
     cannot_tell, diagnose,
 };
 use seepd_logs::open;
-use seepd_monitor::event::LPM_PER_M3_PER_S;
-use seepd_monitor::pipeline::REFERENCE_DP_PA;
 use seepd_settings::UnknownKey;
 use seepd_settings::side_file;
 use seepd_signals::Signal;
@@ -21,6 +19,7 @@ use seepd_sim::{DutyCycle, MachineSpec, PlantParameters, SensorError};
 use seepd_simulator::{ParameterSet, SimulatorAxis};
 
 use super::blind::BlindArguments;
+use super::gap_report::{headline, report};
 use super::next_test::{self, TestFiles};
 use super::predict::PredictArguments;
 use super::reading::MappingArguments;
@@ -29,11 +28,9 @@ use super::user_simulator::{self, SimulatorArguments};
 use crate::cli::Outcome;
 use crate::config::AxisConfig;
 use crate::failure::{Code, Failure};
-use crate::html::chart::number;
 use crate::html::gap::GapPage;
 use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::Steps;
-use crate::quantity::bar;
 use crate::sink::terminal::print;
 
 /// Find where simulator and machine differ, and which effect explains it
@@ -542,130 +539,4 @@ pub(super) fn read<A: SimulatedAxis>(
         values.resize(length, f64::NAN);
     }
     Ok((log, notes))
-}
-
-/// The terminal's report.
-fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
-    let percent = |value: f64| format!("{:.1} %", 100.0 * value);
-    let mut text = format!("{}\n\n", headline(diagnosis));
-    if diagnosis.cycles.used == 0 {
-        return text;
-    }
-    text += &format!(
-        "{:<10} {:>9} {:>9} {:>10} {:>9}   gap on {} held-out cycles, RMS over range\n",
-        "signal", "floor", "nominal", "calibrated", "chosen", diagnosis.cycles.held_out
-    );
-    for signal in &diagnosis.signals {
-        let of = |map: &std::collections::BTreeMap<&'static str, f64>| {
-            percent(map.get(signal).copied().unwrap_or(f64::NAN))
-        };
-        let gap = &diagnosis.gap;
-        text += &format!(
-            "{signal:<10} {:>9} {:>9} {:>10} {:>9}\n",
-            of(&diagnosis.floor),
-            of(&gap.nominal),
-            of(&gap.calibrated),
-            of(&gap.chosen)
-        );
-    }
-    text += &format!(
-        "\ncalibration alone removes {} of the removable gap, the chosen machine {}\n",
-        percent(diagnosis.shrink.calibration_only),
-        percent(diagnosis.shrink.of_removable)
-    );
-    if diagnosis.shrink.by_effect.len() > 1 {
-        let parts: Vec<String> = diagnosis
-            .shrink
-            .by_effect
-            .iter()
-            .map(|(effect, part)| format!("{effect} {}", percent(*part)))
-            .collect();
-        text += &format!("beyond the calibration: {}\n", parts.join(", "));
-    }
-    text += "\nwhere, after the calibration:\n";
-    for place in diagnosis.places.iter().take(4) {
-        text += &format!(
-            "  {:>6}  {} in {}, seen in {}\n",
-            percent(place.share),
-            place.equation,
-            place.phase,
-            place.signal
-        );
-    }
-    text += "\nwhy:\n";
-    for finding in diagnosis.effects.iter().filter(|finding| finding.probability >= 0.01) {
-        let values: Vec<String> = finding
-            .parameters
-            .iter()
-            .map(|(name, value)| {
-                let [low, high] = finding.interval95.get(name).copied().unwrap_or([f64::NAN; 2]);
-                format!("{name} {} ({} … {})", number(*value), number(low), number(high))
-            })
-            .collect();
-        text +=
-            &format!("  {:>6}  {}: {}\n", percent(finding.probability), finding.effect, values.join(", "));
-        if !finding.equivalent.is_empty() {
-            text +=
-                &format!("          cannot be told apart in this log: {}\n", finding.equivalent.join(", "));
-        }
-    }
-    text += &format!("  {:>6}  none of these\n", percent(diagnosis.unknown_probability));
-    text += &format!("  {:>6}  no effect, only other parameters\n", percent(diagnosis.no_effect_probability));
-    text += &learned_laws(diagnosis);
-    text += &next_test::report(diagnosis.next_test.as_ref());
-    text += "\ncalibrated parameters, divided by those of the plant file:\n";
-    for (symbol, value) in &diagnosis.calibrated {
-        let ratio = value.fitted / value.nominal;
-        let ends = value.interval95.map(|end| end / value.nominal);
-        text += &format!("  {symbol:<10} {ratio:>6.3}  ({:.3} … {:.3})\n", ends[0], ends[1]);
-    }
-    if let Some(plant) = plant {
-        let lpm = |area: f64| plant.orifice_flow_m3_per_s(area, REFERENCE_DP_PA) * LPM_PER_M3_PER_S;
-        let leak = &diagnosis.leak;
-        text += &format!(
-            "\nleak at {} bar: {:.3} L/min with the plant file, {:.3} calibrated, {:.3} as chosen\n",
-            bar(REFERENCE_DP_PA),
-            lpm(leak.nominal_m2),
-            lpm(leak.calibrated_m2),
-            lpm(leak.chosen_m2)
-        );
-    }
-    for line in diagnosis.distinguish.iter().chain(&diagnosis.notes) {
-        text += &format!("{line}\n");
-    }
-    text += &format!("took {:.1} s\n", diagnosis.seconds);
-    text
-}
-
-/// What was learned in the place of an effect.
-fn learned_laws(diagnosis: &Diagnosis) -> String {
-    let mut text = String::new();
-    for law in diagnosis.learned.iter().filter(|law| law.adopted || law.probability >= 0.01) {
-        if text.is_empty() {
-            text += "\na law without a name, learned from the log:\n";
-        }
-        let share = format!("{:.1} %", 100.0 * law.probability);
-        let adopted = if law.adopted { "; the machine as chosen has it" } else { "" };
-        text += &format!(
-            "  {share:>6}  {} over {}: {}\n          with it {:.1} % of the removable gap is gone{adopted}\n",
-            law.place,
-            law.argument,
-            law.resembles,
-            100.0 * law.shrink
-        );
-    }
-    text
-}
-
-/// The conclusion in words.
-pub fn headline(diagnosis: &Diagnosis) -> String {
-    let because = diagnosis.reason.as_ref().map_or(String::new(), |reason| format!(" ({reason})"));
-    let text = match diagnosis.verdict {
-        Verdict::NoGap => "no gap: the machine of the plant file behaves as the log does".into(),
-        Verdict::Parameters => "no effect: other parameters explain the log".into(),
-        Verdict::Effect => format!("an effect: {}", diagnosis.chosen.join(", ")),
-        Verdict::Unknown => "an effect that is not in the catalogue".into(),
-        Verdict::CannotTell => "cannot tell".into(),
-    };
-    format!("{text}{because}")
 }

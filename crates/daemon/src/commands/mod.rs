@@ -20,6 +20,8 @@ pub mod export_fmu;
 pub mod fleet;
 #[cfg(feature = "gap")]
 pub mod gap;
+#[cfg(feature = "gap")]
+mod gap_report;
 #[cfg(feature = "live")]
 pub mod init;
 pub mod inspect;
