@@ -19,7 +19,7 @@ use seepd_sim::{DutyCycle, MachineSpec, PlantParameters, SensorError};
 use seepd_simulator::{ParameterSet, SimulatorAxis};
 
 use super::blind::BlindArguments;
-use super::gap_report::{headline, report};
+use super::gap_report::report;
 use super::next_test::{self, TestFiles};
 use super::predict::PredictArguments;
 use super::reading::MappingArguments;
@@ -32,6 +32,8 @@ use crate::html::gap::GapPage;
 use crate::output::{Output, Outputs, OverwriteArguments};
 use crate::progress::Steps;
 use crate::sink::terminal::print;
+
+pub use super::gap_report::headline;
 
 /// Find where simulator and machine differ, and which effect explains it
 ///

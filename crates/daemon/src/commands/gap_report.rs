@@ -154,7 +154,7 @@ fn learned_laws(diagnosis: &Diagnosis) -> String {
 }
 
 /// The conclusion in words.
-pub(super) fn headline(diagnosis: &Diagnosis) -> String {
+pub fn headline(diagnosis: &Diagnosis) -> String {
     let because = diagnosis.reason.as_ref().map_or(String::new(), |reason| format!(" ({reason})"));
     let text = match diagnosis.verdict {
         Verdict::NoGap => "no gap: the machine of the plant file behaves as the log does".into(),
