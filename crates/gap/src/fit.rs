@@ -341,11 +341,18 @@ impl<'r> Problem<'r> {
         powers
     }
 
-    /// Weighted differences of the signal that is furthest off, along the first drive.
-    pub(crate) fn furthest_off<'d>(&self, residual: &'d DVector<f64>) -> &'d [f64] {
+    /// Weighted differences, along the first drive, of the signals that show best when something happens: the one that is furthest off, and
+    /// the supply's pressure, which dips while others draw from it.
+    pub(crate) fn eventful<'d>(&self, residual: &'d DVector<f64>) -> Vec<&'d [f64]> {
         let by_signal = self.by_signal(residual);
         let worst = (0..by_signal.len()).max_by(|a, b| by_signal[*a].total_cmp(&by_signal[*b])).unwrap_or(0);
-        &residual.as_slice()[worst * BINS..][..BINS]
+        let supply = self.record.signals.iter().position(|signal| *signal == Signal::PSupply);
+        let further = supply.filter(|supply| *supply != worst);
+        [Some(worst), further]
+            .into_iter()
+            .flatten()
+            .map(|s| &residual.as_slice()[s * BINS..][..BINS])
+            .collect()
     }
 
     /// How many times larger in squares than expected of a model the differences are, at least 1: intervals widen by as much (Birge,

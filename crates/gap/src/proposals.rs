@@ -33,10 +33,29 @@ pub(crate) fn pitches<A: SimulatedAxis>(
     peaks.into_iter().take(PITCHES).map(|wave| 1.0 / waves_per_m[wave]).collect()
 }
 
-/// Starts and durations, shares of the cycle, of the rectangles that explain most of the signal that is furthest off, each somewhere else
-/// than those before.
+/// Starts and durations, shares of the cycle, of the rectangles that explain most of the signals that show best when something happens, each
+/// somewhere else than those before.
 pub(crate) fn events<A>(problem: &Problem<'_>, fit: &Fit<A>) -> Vec<(f64, f64)> {
-    let differences = problem.furthest_off(&fit.residual);
+    let signals = problem.eventful(&fit.residual);
+    let mut chosen: Vec<(usize, usize)> = Vec::new();
+    for (index, differences) in signals.iter().enumerate() {
+        let most = EVENTS * (index + 1) / signals.len();
+        for (start, length) in rectangles(differences) {
+            let like = |(other, of): &(usize, usize)| {
+                let near = length.min(*of) / 3;
+                start.abs_diff(*other) < near && (start + length).abs_diff(other + of) < near
+            };
+            if chosen.len() < most && !chosen.iter().any(like) {
+                chosen.push((start, length));
+            }
+        }
+    }
+    let share = |bins: usize| bins as f64 / BINS as f64;
+    chosen.into_iter().map(|(start, length)| (share(start), share(length))).collect()
+}
+
+/// Rectangles in a signal's differences, start and length in bins, the one that explains most first.
+fn rectangles(differences: &[f64]) -> Vec<(usize, usize)> {
     let mut sums = vec![0.0];
     sums.extend(differences.iter().scan(0.0, |sum, difference| {
         *sum += difference;
@@ -53,19 +72,5 @@ pub(crate) fn events<A>(problem: &Problem<'_>, fit: &Fit<A>) -> Vec<(f64, f64)> 
         length += length.div_ceil(3);
     }
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let mut chosen: Vec<(usize, usize)> = Vec::new();
-    for (_, start, length) in found {
-        let like = |(other, of): &(usize, usize)| {
-            let near = length.min(*of) / 3;
-            start.abs_diff(*other) < near && (start + length).abs_diff(other + of) < near
-        };
-        if !chosen.iter().any(like) {
-            chosen.push((start, length));
-        }
-        if chosen.len() == EVENTS {
-            break;
-        }
-    }
-    let share = |bins: usize| bins as f64 / BINS as f64;
-    chosen.into_iter().map(|(start, length)| (share(start), share(length))).collect()
+    found.into_iter().map(|(_, start, length)| (start, length)).collect()
 }

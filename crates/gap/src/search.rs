@@ -245,8 +245,9 @@ fn keep_better<'c, A>(
     }
 }
 
-/// Forward selection: the best machines get a further effect as long as something is left and the next one takes much of it. What the best
-/// of all can do without is left out again.
+/// Forward selection: the best machines get a further effect as long as something is left and the next one takes much of it; beside the
+/// untouched machine, where none does beside parameters that were bent to what was missing. What the best of all can do without is left out
+/// again.
 fn add_effects<A: SimulatedAxis>(
     problem: &Problem<'_>,
     (untouched, calibrated): (&Fit<A>, &Fit<A>),
@@ -257,18 +258,12 @@ fn add_effects<A: SimulatedAxis>(
     for _ in 1..MOST_EFFECTS {
         let mut grown: Vec<Explanation<A>> = Vec::new();
         for base in bases.iter().filter(|base| wants_another(problem, calibrated, base)) {
-            let fit = base.fit.clone().renewed(problem);
-            let next = screen(problem, &fit, &settings.without);
-            let tried: Vec<Explanation<A>> = next
-                .par_iter()
-                .take(NEXT)
-                .map(|candidate| {
-                    let grown = beside(problem, &fit, candidate.effect, &candidate.values);
-                    let effects = base.effects.iter().copied().chain([candidate.effect]).collect();
-                    Explanation { effects, fit: grown.fitted(problem, settings.iterations) }
-                })
-                .collect();
-            grown.extend(tried.into_iter().filter(|one| one.fit.cost < WORTH_ANOTHER_EFFECT * base.fit.cost));
+            let mut found = base.grown(problem, &base.fit.clone().renewed(problem), Fit::fitted, settings);
+            if found.is_empty() && !untouched.spec.is_spent() {
+                let untouched = base.beside_the_untouched(problem, untouched);
+                found = base.grown(problem, &untouched, Fit::fitted_from_afar, settings);
+            }
+            grown.extend(found);
         }
         grown
             .par_iter_mut()
@@ -316,6 +311,36 @@ impl<A: SimulatedAxis> Explanation<A> {
         machine
     }
 
+    /// Machines with the most promising further effect each, fitted from a machine that has these effects, which take much of what is left.
+    fn grown(
+        &self,
+        problem: &Problem<'_>,
+        from: &Fit<A>,
+        fitted: fn(Fit<A>, &Problem<'_>, usize) -> Fit<A>,
+        settings: &DiagnosisSettings,
+    ) -> Vec<Self> {
+        let with_another = |candidate: &Candidate| {
+            let fit = beside(problem, from, candidate.effect, &candidate.values);
+            let effects = self.effects.iter().copied().chain([candidate.effect]).collect();
+            Explanation { effects, fit: fitted(fit, problem, settings.iterations) }
+        };
+        let next = screen(problem, from, &settings.without);
+        let mut grown: Vec<Self> = next.par_iter().take(NEXT).map(with_another).collect();
+        grown.retain(|one| one.fit.cost < WORTH_ANOTHER_EFFECT * self.fit.cost);
+        grown
+    }
+
+    /// The untouched machine with the same effects.
+    fn beside_the_untouched(&self, problem: &Problem<'_>, untouched: &Fit<A>) -> Fit<A> {
+        let mut machine = untouched.spec.clone();
+        let mut free = untouched.free.clone();
+        for effect in &self.effects {
+            machine = with(&machine, effect, &values_of(effect, &self.fit.spec));
+            free.extend(of_effect(effect, &untouched.spec));
+        }
+        Fit::at(problem, &machine, free)
+    }
+
     /// Fits the same effects beside the untouched machine, and keeps that where it explains more: while one of them was missing, the
     /// parameters beside them were bent to its part of the gap, and from far off, as a supply of half the pressure, none of them finds back.
     fn try_beside_the_untouched(
@@ -324,13 +349,8 @@ impl<A: SimulatedAxis> Explanation<A> {
         untouched: &Fit<A>,
         settings: &DiagnosisSettings,
     ) {
-        let mut machine = untouched.spec.clone();
-        let mut free = untouched.free.clone();
-        for effect in &self.effects {
-            machine = with(&machine, effect, &values_of(effect, &self.fit.spec));
-            free.extend(of_effect(effect, &untouched.spec));
-        }
-        let anew = Fit::at(problem, &machine, free).fitted_from_afar(problem, settings.iterations);
+        let anew = self.beside_the_untouched(problem, untouched);
+        let anew = anew.fitted_from_afar(problem, settings.iterations);
         if anew.cost < self.fit.cost {
             self.fit = anew;
         }

@@ -162,6 +162,18 @@ fn a_cause_that_was_imitated_at_first_is_named_without_its_imitation() {
     assert_eq!(found.chosen, ["controller_gains", "position_quantisation"]);
 }
 
+/// The dead band shows in the command, the consumer in the supply's pressure, which no other machine moved: calibration had doubled the pump
+/// for it by then, and beside such a pump no consumer does anything. It was "unknown".
+#[test]
+fn a_consumer_beside_a_dead_band_is_found_from_the_supply() {
+    let consumer = [("flow_m3_per_s", 6.8e-4), ("start_s", 3.21), ("duration_s", 1.28)];
+    let band = [("half_width", 0.0925)];
+    let press = press(&[("shared_supply", &consumer), ("valve_deadband", &band)]);
+    let found = diagnosed(&log_under(&press, 0.014));
+    assert_eq!(found.chosen, ["valve_deadband", "shared_supply"]);
+    assert!(found.shrink.of_removable > 0.95, "{:?}", found.shrink);
+}
+
 /// Notes on transducers.
 fn blamed(found: &Diagnosis) -> Vec<&String> {
     found.notes.iter().filter(|note| note.contains("transducer")).collect()
