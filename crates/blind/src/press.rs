@@ -88,7 +88,6 @@ impl Press {
     /// Runs a warm-up cycle and `cycles` more and hands each logged tick to `sink`; whether all stayed finite.
     pub fn run(&self, cycles: usize, variation: Variation, mut sink: impl FnMut(PressSample)) -> bool {
         let laws = Laws::new(self);
-        let steps = self.steps(&laws);
         let planned_s = self.controller.period_s;
         let ticks = (self.cycle.period_s / planned_s).round() as usize;
         let mut noise = Noise::new(variation.seed, 7);
@@ -117,7 +116,7 @@ impl Press {
                 commands.rotate_right(1);
                 commands[0] = command;
                 let drive = Span { at_s, load: load(tick), load_end: load(tick + 1) };
-                self.advance(&mut state, &laws, &commands, (&mut play, steps), &drive);
+                self.advance(&mut state, &laws, &commands, &mut play, &drive);
             }
             if !state.iter().all(|value| value.is_finite()) {
                 return false;
@@ -144,34 +143,26 @@ impl Press {
     }
 
     /// Steps in a controller period by the fastest eigenvalue, that of supply and inlet over the line between them at rest.
-    fn steps(&self, laws: &Laws) -> usize {
+    fn steps(&self, viscosity: &Viscosity, clock: f64) -> usize {
         let p = &self.plant;
-        let steepest =
-            p.line_m3_per_s_sqrt_pa / (p.transition_pressure_pa * laws.viscosity.transition).sqrt();
+        let steepest = p.line_m3_per_s_sqrt_pa / (p.transition_pressure_pa * viscosity.transition).sqrt();
         let stiffness = p.bulk_modulus_pa * (p.supply_volume_m3.recip() + p.inlet_volume_m3.recip());
-        let period_s = self.controller.period_s * laws.clock;
+        let period_s = self.controller.period_s * clock;
         STEPS.max((steepest * stiffness * period_s / STABLE).ceil() as usize)
     }
 
     /// The plant from a tick to the next.
-    fn advance(
-        &self,
-        state: &mut State,
-        laws: &Laws,
-        commands: &[f64],
-        (play, steps): (&mut Play, usize),
-        drive: &Span,
-    ) {
+    fn advance(&self, state: &mut State, laws: &Laws, commands: &[f64], play: &mut Play, drive: &Span) {
         let period_s = self.controller.period_s * laws.clock;
-        let h = period_s / steps as f64;
-        for step in 0..steps {
-            let share = step as f64 / steps as f64;
+        let h = period_s / laws.steps as f64;
+        for step in 0..laws.steps {
+            let share = step as f64 / laws.steps as f64;
             // The command as it was a delay ago.
             let ago = ((laws.delay_s / period_s - share).ceil().max(0.0) as usize).min(commands.len() - 1);
             let command = play.follow(laws.quantised(commands[ago]), laws, self.other_law);
             let load_at = |share: f64| drive.load + (drive.load_end - drive.load) * share;
             let rates = |state: &State, ahead: f64| {
-                let share = share + ahead / steps as f64;
+                let share = share + ahead / laws.steps as f64;
                 let at_s = drive.at_s + share * self.controller.period_s;
                 self.rates(state, laws, command, load_at(share), at_s)
             };
@@ -383,6 +374,8 @@ struct Laws {
     ki: f64,
     kd: f64,
     clock: f64,
+    /// Steps in a controller period.
+    steps: usize,
     orifice: f64,
 }
 
@@ -395,6 +388,13 @@ impl Laws {
         let factor = |effect: &str, parameter: &str| given(effect, parameter).unwrap_or(1.0);
         let pair = |effect: &str, a: &str, b: &str| given(effect, a).zip(given(effect, b));
         let thick = factor("oil_viscosity", "factor");
+        let viscosity = Viscosity {
+            laminar: thick,
+            // Other law: orifices stay as they are.
+            transition: if press.other_law { 1.0 } else { thick * thick },
+        };
+        let clock = given("controller_clock", "period_s").map_or(1.0, |period| period / 1e-3);
+        let steps = press.steps(&viscosity, clock);
         let p = &press.plant;
         Laws {
             quantum: of("command_quantisation", "step"),
@@ -426,11 +426,7 @@ impl Laws {
             air: of("entrained_air", "fraction"),
             hose_a: of("hose_volume", "a_m3"),
             hose_b: of("hose_volume", "b_m3"),
-            viscosity: Viscosity {
-                laminar: thick,
-                // Other law: orifices stay as they are.
-                transition: if press.other_law { 1.0 } else { thick * thick },
-            },
+            viscosity,
             pump_slip: of("pump_slip", "leakage_m3_per_s_pa"),
             gas: pair("accumulator", "volume_m3", "precharge_pa"),
             consumer: pair("shared_supply", "flow_m3_per_s", "start_s")
@@ -442,7 +438,8 @@ impl Laws {
             kp: factor("controller_gains", "kp"),
             ki: factor("controller_gains", "ki"),
             kd: factor("controller_gains", "kd"),
-            clock: given("controller_clock", "period_s").map_or(1.0, |period| period / 1e-3),
+            clock,
+            steps,
             orifice: p.discharge_coefficient * p.leak_area_m2 * (2.0 / p.density_kg_per_m3).sqrt(),
         }
     }

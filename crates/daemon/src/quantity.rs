@@ -1,4 +1,4 @@
-//! Quantities as people read them: areas in mm², pressures in bar. What programs read (JSON, CSV, MCAP, metrics) keeps SI units.
+//! Quantities as people read them: areas in mm², pressures in bar, shares in per cent. What programs read (JSON, CSV, MCAP, metrics) keeps SI units.
 
 /// Square millimetres of a square metre.
 pub(crate) const MM2_PER_M2: f64 = 1e6;
@@ -27,6 +27,11 @@ pub(crate) fn mm2_interval([low_m2, high_m2]: [f64; 2]) -> String {
 /// A pressure in bar, without its unit and without a tail of rounding: `70`, `72.5`.
 pub(crate) fn bar(pressure_pa: f64) -> f64 {
     (pressure_pa * BAR_PER_PA * 1e6).round() / 1e6
+}
+
+/// A share in per cent with its unit: `12.3 %`.
+pub(crate) fn percent(share: f64) -> String {
+    format!("{:.1} %", 100.0 * share)
 }
 
 #[cfg(test)]

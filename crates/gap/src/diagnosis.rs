@@ -14,6 +14,7 @@ use crate::fit::{Fit, Problem, Target, free_parameters, of_effect, values_of};
 use crate::learn::{LearnedMachine, learn};
 use crate::next_test::{Candidate as NextTestCandidate, NextTest, next_test};
 use crate::places::{phase_spans, places};
+use crate::quantisation::is_of_steps;
 use crate::rank::{Ranking, rank};
 use crate::record::{BINS, ENOUGH_CYCLES, Record, binned};
 use crate::report::{
@@ -317,11 +318,8 @@ impl<A: SimulatedAxis> RankedExplanations<A> {
     /// cycle that no simulation takes anything of the gap: the machines have it beside what they have, where it would be seen.
     fn read_in_steps(&mut self, problem: &Problem<'_>) {
         let Some(step_m) = problem.record.position_step_m else { return };
-        let is_a_step =
-            |candidate: &&Candidate| candidate.effect.parameters.iter().any(|p| p.name == "step_m");
-        let Some(step) = self.candidates.iter().find(is_a_step).filter(|step| step.visible > VISIBLE) else {
-            return;
-        };
+        let step = self.candidates.iter().find(|candidate| is_of_steps(candidate.effect));
+        let Some(step) = step.filter(|step| step.visible > VISIBLE) else { return };
         let lacks_it =
             |one: &&mut (Explanation<A>, f64)| one.1 >= WORTH_A_COMPANION && !one.0.has(step.effect.key);
         for (explanation, _) in self.explanations.iter_mut().filter(lacks_it) {

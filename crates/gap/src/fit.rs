@@ -347,12 +347,8 @@ impl<'r> Problem<'r> {
         let by_signal = self.by_signal(residual);
         let worst = (0..by_signal.len()).max_by(|a, b| by_signal[*a].total_cmp(&by_signal[*b])).unwrap_or(0);
         let supply = self.record.signals.iter().position(|signal| *signal == Signal::PSupply);
-        let further = supply.filter(|supply| *supply != worst);
-        [Some(worst), further]
-            .into_iter()
-            .flatten()
-            .map(|s| &residual.as_slice()[s * BINS..][..BINS])
-            .collect()
+        let signals = std::iter::once(worst).chain(supply.filter(|supply| *supply != worst));
+        signals.map(|signal| &residual.as_slice()[signal * BINS..][..BINS]).collect()
     }
 
     /// How many times larger in squares than expected of a model the differences are, at least 1: intervals widen by as much (Birge,

@@ -45,8 +45,11 @@ pub(crate) fn events<A>(problem: &Problem<'_>, fit: &Fit<A>) -> Vec<(f64, f64)> 
                 let near = length.min(*of) / 3;
                 start.abs_diff(*other) < near && (start + length).abs_diff(other + of) < near
             };
-            if chosen.len() < most && !chosen.iter().any(like) {
+            if !chosen.iter().any(like) {
                 chosen.push((start, length));
+            }
+            if chosen.len() == most {
+                break;
             }
         }
     }

@@ -8,6 +8,7 @@
 use std::f64::consts::TAU;
 
 use nalgebra::Complex;
+use seepd_sim::effects::EffectInfo;
 
 /// Moving samples that are looked at: in the search, and for the frequency in the end.
 const SEARCHED: usize = 800;
@@ -27,6 +28,11 @@ const FUNDAMENTAL: f64 = 0.75;
 const SPEED_OVER: usize = 10;
 /// Share of the largest speed from which a sample is a moving one.
 const MOVING: f64 = 0.1;
+
+/// Whether an effect is that of a position which is read in steps.
+pub(crate) fn is_of_steps(effect: &EffectInfo) -> bool {
+    effect.parameters.iter().any(|parameter| parameter.name == "step_m")
+}
 
 /// The step of a quantised position, of those within a range, m; `None` where there is no comb, or it drowns in noise.
 pub(crate) fn position_step_m(position_m: &[f64], (least_m, most_m): (f64, f64)) -> Option<f64> {

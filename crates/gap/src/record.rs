@@ -306,7 +306,10 @@ fn starts_of_cycles<A: SimulatedAxis>(
     Ok(starts)
 }
 
-/// Leaves out the cycles that are of another kind than the rest, if that is most of them.
+/// Leaves out the cycles that are of another kind than most.
+///
+/// # Errors
+/// [`RecordError`] where they are not few, or too few are left.
 fn leave_out_others<A: SimulatedAxis>(
     cycles: &mut Vec<RecordedCycle>,
     signals: &[Signal],

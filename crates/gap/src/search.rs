@@ -6,6 +6,7 @@ use seepd_sim::real::LANES;
 
 use crate::diagnosis::DiagnosisSettings;
 use crate::fit::{Fit, Problem, coordinates, of_effect, prior_cost, values_of};
+use crate::quantisation::is_of_steps;
 use crate::rank::{rather_imitates, score};
 use crate::screen::{Candidate, screen, with};
 use crate::simulated_axis::SimulatedAxis;
@@ -364,8 +365,7 @@ impl<A: SimulatedAxis> Explanation<A> {
         settings: &DiagnosisSettings,
     ) -> Option<Self> {
         let step_m = problem.record.position_step_m?;
-        let is_a_step = |effect: &&EffectInfo| effect.parameters.iter().any(|p| p.name == "step_m");
-        let step = self.fit.spec.catalogue().into_iter().find(is_a_step)?;
+        let step = self.fit.spec.catalogue().into_iter().find(|effect| is_of_steps(effect))?;
         if self.has(step.key) || settings.without.iter().any(|key| key == step.key) {
             return None;
         }
@@ -373,7 +373,7 @@ impl<A: SimulatedAxis> Explanation<A> {
         Some(Explanation { effects: self.effects.iter().copied().chain([step]).collect(), fit })
     }
 
-    /// Machines that lack one of its effects, fitted from where it stands: an effect that was found early may have stood for one that was
+    /// Of a machine with as many effects as are sought, those that lack one of them, fitted from where it stands: an effect that was found early may have stood for one that was
     /// found later, and a machine that got stuck beside fewer effects is reached over more.
     fn with_one_less(&self, problem: &Problem<'_>, settings: &DiagnosisSettings) -> Vec<Self> {
         if self.effects.len() < MOST_EFFECTS {

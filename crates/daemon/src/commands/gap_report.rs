@@ -9,9 +9,9 @@ use seepd_sim::PlantParameters;
 
 use super::next_test;
 use crate::html::chart::number;
-use crate::quantity::bar;
+use crate::quantity::{bar, percent};
 
-/// All of it, section by section.
+/// The whole report, section by section.
 pub(super) fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> String {
     let headline = format!("{}\n\n", headline(diagnosis));
     if diagnosis.cycles.used == 0 {
@@ -32,10 +32,6 @@ pub(super) fn report(plant: Option<&PlantParameters>, diagnosis: &Diagnosis) -> 
         format!("took {:.1} s\n", diagnosis.seconds),
     ]
     .concat()
-}
-
-fn percent(value: f64) -> String {
-    format!("{:.1} %", 100.0 * value)
 }
 
 /// How far simulation and log are apart, signal by signal.
@@ -140,14 +136,14 @@ fn learned_laws(diagnosis: &Diagnosis) -> String {
         if text.is_empty() {
             text += "\na law without a name, learned from the log:\n";
         }
-        let share = format!("{:.1} %", 100.0 * law.probability);
         let adopted = if law.adopted { "; the machine as chosen has it" } else { "" };
         text += &format!(
-            "  {share:>6}  {} over {}: {}\n          with it {:.1} % of the removable gap is gone{adopted}\n",
+            "  {:>6}  {} over {}: {}\n          with it {} of the removable gap is gone{adopted}\n",
+            percent(law.probability),
             law.place,
             law.argument,
             law.resembles,
-            100.0 * law.shrink
+            percent(law.shrink)
         );
     }
     text

@@ -14,7 +14,7 @@ use seepd_sim::PlantParameters;
 use super::chart::{Axis, Chart, Layer, number};
 use super::page;
 use crate::commands::next_test::told;
-use crate::quantity;
+use crate::quantity::{self, percent};
 
 /// What the page shows.
 pub struct GapPage<'a> {
@@ -30,10 +30,6 @@ pub struct GapPage<'a> {
 
 /// Share of the cycle from which a phase's name has room in a plot.
 const SPAN_WITH_ROOM: f64 = 0.08;
-
-fn percent(value: f64) -> String {
-    format!("{:.1} %", 100.0 * value)
-}
 
 impl GapPage<'_> {
     /// The page's text.
