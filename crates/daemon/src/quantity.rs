@@ -29,9 +29,9 @@ pub(crate) fn bar(pressure_pa: f64) -> f64 {
     (pressure_pa * BAR_PER_PA * 1e6).round() / 1e6
 }
 
-/// A share in per cent with its unit: `12.3 %`.
-pub(crate) fn percent(share: f64) -> String {
-    format!("{:.1} %", 100.0 * share)
+/// A share in per cent with its unit, `12.3 %`; a dash where there is none.
+pub(crate) fn percent(share: f64, digits: usize) -> String {
+    if share.is_finite() { format!("{:.digits$} %", 100.0 * share) } else { "–".into() }
 }
 
 #[cfg(test)]
@@ -48,5 +48,13 @@ mod tests {
     #[test]
     fn pressures_are_bars_without_a_tail() {
         assert_eq!([7e6, 7.25e6, 1e5, 1e8].map(bar), [70.0, 72.5, 1.0, 1000.0]);
+    }
+
+    #[test]
+    fn a_share_that_is_no_number_is_a_dash() {
+        assert_eq!(
+            [(0.1234, 1), (0.00567, 2), (f64::NAN, 1)].map(|(share, digits)| percent(share, digits)),
+            ["12.3 %", "0.57 %", "–"]
+        );
     }
 }

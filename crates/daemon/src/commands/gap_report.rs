@@ -41,7 +41,7 @@ fn gap_by_signal(diagnosis: &Diagnosis) -> String {
         "signal", "floor", "nominal", "calibrated", "chosen", diagnosis.cycles.held_out
     );
     for signal in &diagnosis.signals {
-        let of = |gap: &BTreeMap<&'static str, f64>| percent(gap.get(signal).copied().unwrap_or(f64::NAN));
+        let of = |gap: &BTreeMap<&'static str, f64>| percent(gap.get(signal).copied().unwrap_or(f64::NAN), 1);
         let gap = &diagnosis.gap;
         text += &format!(
             "{signal:<10} {:>9} {:>9} {:>10} {:>9}\n",
@@ -59,11 +59,11 @@ fn removed(diagnosis: &Diagnosis) -> String {
     let shrink = &diagnosis.shrink;
     let mut text = format!(
         "\ncalibration alone removes {} of the removable gap, the chosen machine {}\n",
-        percent(shrink.calibration_only),
-        percent(shrink.of_removable)
+        percent(shrink.calibration_only, 1),
+        percent(shrink.of_removable, 1)
     );
     if shrink.by_effect.len() > 1 {
-        let part = |(effect, part): (&&str, &f64)| format!("{effect} {}", percent(*part));
+        let part = |(effect, part): (&&str, &f64)| format!("{effect} {}", percent(*part, 1));
         let parts: Vec<String> = shrink.by_effect.iter().map(part).collect();
         text += &format!("beyond the calibration: {}\n", parts.join(", "));
     }
@@ -76,7 +76,7 @@ fn places(diagnosis: &Diagnosis) -> String {
     for place in diagnosis.places.iter().take(4) {
         text += &format!(
             "  {:>6}  {} in {}, seen in {}\n",
-            percent(place.share),
+            percent(place.share, 1),
             place.equation,
             place.phase,
             place.signal
@@ -95,14 +95,15 @@ fn explanations(diagnosis: &Diagnosis) -> String {
         };
         let values: Vec<String> = finding.parameters.iter().map(value_of).collect();
         text +=
-            &format!("  {:>6}  {}: {}\n", percent(finding.probability), finding.effect, values.join(", "));
+            &format!("  {:>6}  {}: {}\n", percent(finding.probability, 1), finding.effect, values.join(", "));
         if !finding.equivalent.is_empty() {
             text +=
                 &format!("          cannot be told apart in this log: {}\n", finding.equivalent.join(", "));
         }
     }
-    text += &format!("  {:>6}  none of these\n", percent(diagnosis.unknown_probability));
-    text += &format!("  {:>6}  no effect, only other parameters\n", percent(diagnosis.no_effect_probability));
+    text += &format!("  {:>6}  none of these\n", percent(diagnosis.unknown_probability, 1));
+    text +=
+        &format!("  {:>6}  no effect, only other parameters\n", percent(diagnosis.no_effect_probability, 1));
     text
 }
 
@@ -139,11 +140,11 @@ fn learned_laws(diagnosis: &Diagnosis) -> String {
         let adopted = if law.adopted { "; the machine as chosen has it" } else { "" };
         text += &format!(
             "  {:>6}  {} over {}: {}\n          with it {} of the removable gap is gone{adopted}\n",
-            percent(law.probability),
+            percent(law.probability, 1),
             law.place,
             law.argument,
             law.resembles,
-            percent(law.shrink)
+            percent(law.shrink, 1)
         );
     }
     text

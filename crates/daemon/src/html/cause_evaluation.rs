@@ -6,7 +6,7 @@ use maud::{Markup, html};
 
 use super::page;
 use crate::evaluation::causes::{BASELINE_CYCLES, CauseEvaluation, LOAD_VARIATION, NOISE, PlantedRow};
-use crate::sink::evaluation::percent;
+use crate::quantity::percent;
 
 /// What the page shows.
 pub struct CausePage<'a> {

@@ -9,8 +9,8 @@ use crate::evaluation::Evaluation;
 use crate::evaluation::detection::Detection;
 use crate::evaluation::roc::Roc;
 use crate::evaluation::sizes::Sizes;
-use crate::quantity::{MM2_PER_M2, bar, mm2};
-use crate::sink::evaluation::{decade_text, false_alarms, or_dash, percent};
+use crate::quantity::{MM2_PER_M2, bar, mm2, percent};
+use crate::sink::evaluation::{decade_text, false_alarms, or_dash};
 use crate::sink::terminal::listed;
 
 /// Most points of a cloud.

@@ -94,12 +94,12 @@ impl GapPage<'_> {
         let largest = all.fold(1e-6, f64::max);
         let shrink = &self.diagnosis.shrink;
         html! {
-            p { "Calibration alone removes " (percent(shrink.calibration_only)) " of the removable gap, the chosen machine " (percent(shrink.of_removable))
-                " (" (percent(shrink.of_total)) " of the whole gap)." }
+            p { "Calibration alone removes " (percent(shrink.calibration_only, 1)) " of the removable gap, the chosen machine " (percent(shrink.of_removable, 1))
+                " (" (percent(shrink.of_total, 1)) " of the whole gap)." }
             @if shrink.by_effect.len() > 1 { table.bars { tbody {
-                tr { td { "calibration" } td.number { (percent(shrink.calibration_only)) } td.grow { (bar(shrink.calibration_only, "var(--watch)")) } }
+                tr { td { "calibration" } td.number { (percent(shrink.calibration_only, 1)) } td.grow { (bar(shrink.calibration_only, "var(--watch)")) } }
                 @for (effect, part) in &shrink.by_effect { tr {
-                    td { (effect) } td.number { (percent(*part)) } td.grow { (bar(*part, "var(--healthy)")) }
+                    td { (effect) } td.number { (percent(*part, 1)) } td.grow { (bar(*part, "var(--healthy)")) }
                 } }
             } } }
             table.bars { tbody { @for signal in &self.diagnosis.signals {
@@ -123,14 +123,14 @@ impl GapPage<'_> {
                     td { (finding.effect)
                         br; span.soft { (finding.law) }
                         @if !finding.equivalent.is_empty() { br; span.soft { "cannot be told apart in this log: " (finding.equivalent.join(", ")) } } }
-                    td.number { (percent(finding.probability)) }
+                    td.number { (percent(finding.probability, 1)) }
                     td.narrow { (bar(finding.probability, "var(--a)")) }
                     td { @for (name, value) in &finding.parameters { (name) " " (number(*value))
                         @if let Some([low, high]) = finding.interval95.get(name) { " (" (number(*low)) " … " (number(*high)) ")" } br; } }
-                    td.number { (percent(finding.shrink)) }
+                    td.number { (percent(finding.shrink, 1)) }
                 } }
-                tr { td { "none of these" } td.number { (percent(found.unknown_probability)) } td { (bar(found.unknown_probability, "var(--b)")) } td {} td {} }
-                tr { td { "no effect, only other parameters" } td.number { (percent(found.no_effect_probability)) }
+                tr { td { "none of these" } td.number { (percent(found.unknown_probability, 1)) } td { (bar(found.unknown_probability, "var(--b)")) } td {} td {} }
+                tr { td { "no effect, only other parameters" } td.number { (percent(found.no_effect_probability, 1)) }
                     td { (bar(found.no_effect_probability, "var(--healthy)")) } td {} td {} }
             }
         } }
@@ -139,7 +139,7 @@ impl GapPage<'_> {
     fn places(&self) -> Markup {
         html! { table.bars { tbody { @for place in &self.diagnosis.places { tr {
             td { (place.equation) } td { (place.phase) } td { "seen in " (place.signal) }
-            td.number { (percent(place.share)) } td.grow { (bar(place.share, "var(--a)")) }
+            td.number { (percent(place.share, 1)) } td.grow { (bar(place.share, "var(--a)")) }
         } } } } }
     }
 
@@ -239,8 +239,8 @@ fn learned_laws(laws: &[LearnedCurve]) -> Markup {
         p.soft { "No effect of the catalogue explains what is left, so that a function was learned at each place where it may act, beside the calibrated parameters. \
             The band holds the curve with 95 % probability if it is there; where the log did not go, it is wide." }
         @for law in told {
-            h3 { (law.place) " over " (law.argument) ": " (percent(law.probability)) }
-            p { (law.resembles) ". With it " (percent(law.shrink)) " of the removable gap is gone on held-out cycles"
+            h3 { (law.place) " over " (law.argument) ": " (percent(law.probability, 1)) }
+            p { (law.resembles) ". With it " (percent(law.shrink, 1)) " of the removable gap is gone on held-out cycles"
                 @if law.adopted { "; the machine as chosen has it, and " code { "--emit-plant" } " writes it as " code { (law.effect) } }
                 ". " span.soft { (law.law) } }
             (learned_curve(law))
@@ -252,7 +252,7 @@ fn learned_laws(laws: &[LearnedCurve]) -> Markup {
 fn next_test(next: &NextTest) -> Markup {
     html! {
         p.soft { "What would tell these apart: "
-            (next.explanations.iter().map(|(name, share)| format!("{name} ({})", percent(*share))).collect::<Vec<_>>().join(", ")) "." }
+            (next.explanations.iter().map(|(name, share)| format!("{name} ({})", percent(*share, 1))).collect::<Vec<_>>().join(", ")) "." }
         @if !next.tells { p { "No allowed test is expected to tell them apart for certain." } }
         table.bars {
             thead { tr { th { "Test" } th.number { "length" } th.number { "information" } th.number { "the right one would then have" } } }
@@ -260,7 +260,7 @@ fn next_test(next: &NextTest) -> Markup {
                 td { (proposal.what) }
                 td.number { @if proposal.sensor.is_none() { (format!("{:.0} s", proposal.seconds)) } }
                 td.number { (format!("{:.2} bit", proposal.information_bit)) }
-                td.number { (percent(proposal.expected_probability)) }
+                td.number { (percent(proposal.expected_probability, 1)) }
             } } }
         }
         @if let Some(best) = next.proposals.first() {

@@ -11,13 +11,8 @@ use crate::evaluation::detection::Detection;
 use crate::evaluation::roc::Roc;
 use crate::evaluation::sizes::Sizes;
 use crate::html::chart::number;
-use crate::quantity::{MM2_PER_M2, bar, mm2};
+use crate::quantity::{MM2_PER_M2, bar, mm2, percent};
 use crate::sink::terminal::listed;
-
-/// A share in per cent; a dash where there is none.
-pub(crate) fn percent(share: f64, digits: usize) -> String {
-    if share.is_finite() { format!("{:.digits$} %", 100.0 * share) } else { "–".into() }
-}
 
 /// A number; a dash where there is none.
 pub(crate) fn or_dash(value: f64, text: impl FnOnce(f64) -> String) -> String {
