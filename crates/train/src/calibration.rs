@@ -5,16 +5,14 @@ use seepd_model::Ensemble;
 use seepd_model::schema::{Calibration, TrainingDistribution, Transform};
 use seepd_sim::MachineSpec;
 
+use crate::absolute::Features;
+use crate::cases::Case;
 use crate::conformal::{self, Prediction};
-use crate::dataset::{self, Observation, Reading};
+use crate::dataset::{self, Observation, Reading, purpose};
 use crate::forest::Forest;
 use crate::portions::{Portions, Row};
-use crate::train::{Case, Features, TrainError, TrainingSettings};
+use crate::train::{TrainError, TrainingSettings};
 use crate::{out_of_distribution, relative, report};
-
-/// Random streams of these machines, which share none with the others of a training.
-const CALIBRATE: u64 = 4;
-const BEYOND: u64 = 5;
 
 /// For so many machines that are learned from there is one more with a leak beyond, by which such leaks are known.
 const LEARNED_TO_BEYOND: usize = 16;
@@ -31,11 +29,11 @@ impl CalibrationSets {
         let draw =
             |count, purpose| dataset::draw(spec, &settings.spread, leaks, count, settings.seed, purpose);
         let count = settings.observations / LEARNED_TO_BEYOND;
-        let mut beyond = draw(count, BEYOND);
+        let mut beyond = draw(count, purpose::BEYOND);
         for (index, observation) in beyond.iter_mut().enumerate() {
             observation.leak_area_m2 = leaks.beyond_m2(index as f64 / count as f64);
         }
-        CalibrationSets { within: draw(settings.calibrated_on, CALIBRATE), beyond }
+        CalibrationSets { within: draw(settings.calibrated_on, purpose::CALIBRATE), beyond }
     }
 
     /// What `of` makes of each machine's cycle at each level of noise: of those within, and of those beyond.

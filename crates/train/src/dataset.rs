@@ -97,6 +97,16 @@ pub struct Observation {
     pub stream: u64,
 }
 
+/// Random streams that share no machine, by what they are drawn for.
+pub(crate) mod purpose {
+    pub(crate) const TEMPLATE: u64 = 1;
+    pub(crate) const LEARN: u64 = 2;
+    pub(crate) const HELD_OUT: u64 = 3;
+    pub(crate) const CALIBRATE: u64 = 4;
+    pub(crate) const BEYOND: u64 = 5;
+    pub(crate) const LARGEST: u64 = 6;
+}
+
 /// Shares of observations without a leak and with one below the main range.
 const SHARE_HEALTHY: f64 = 0.06;
 const SHARE_SMALL: f64 = 0.18;

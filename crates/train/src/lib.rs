@@ -1,6 +1,8 @@
 #![doc = include_str!("../README.md")]
 
+mod absolute;
 mod calibration;
+mod cases;
 mod causes;
 mod conformal;
 pub mod dataset;
@@ -17,6 +19,7 @@ pub mod relative;
 pub mod report;
 mod response_error;
 mod search;
+mod templates;
 pub mod train;
 mod unknown_contact;
 mod unknown_overlap;

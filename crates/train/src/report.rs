@@ -8,11 +8,13 @@ use seepd_model::accuracy::{Decade, Judged, coverage, decades, mean_absolute_err
 use seepd_model::schema::Transform;
 use serde::Serialize;
 
+use crate::absolute::{Features, grow_like};
+use crate::cases::{ARTICLE_NOISE, Case, noise_of};
 use crate::dataset::{self, Observation, Reading};
 use crate::forest::{Forest, ForestParams, predict};
 use crate::leak_range::LeakRange;
 use crate::portions::{Portions, Row};
-use crate::train::{ARTICLE_NOISE, Case, Features, TrainError, TrainingSettings, grow_like, noise_of};
+use crate::train::{TrainError, TrainingSettings};
 
 /// Standard deviations of the command's noise in the article's figures 8 and 9.
 pub const NOISE_LEVELS: [f64; 5] = [0.001, 0.003, 0.005, 0.007, 0.01];
