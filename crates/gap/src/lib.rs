@@ -1,5 +1,6 @@
 #![doc = include_str!("../README.md")]
 
+mod balance;
 pub mod calibration;
 pub mod calibration_problem;
 pub mod course;

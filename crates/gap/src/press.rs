@@ -10,6 +10,7 @@ use seepd_sim::learned::{self, LearnedLaw, Site};
 use seepd_sim::real::{LANES, Lanes};
 use seepd_sim::{DutyCycle, MachineSpec, PlantParameters, Size, Steps};
 
+use crate::balance;
 use crate::record::{BINS, RecordedCycle, bin_of, correlation};
 use crate::simulate::{BinnedSignals, bins_of};
 use crate::simulated_axis::{CalibratedParameter, EffectValues, Imbalances, Scale, SimulatedAxis};
@@ -212,7 +213,7 @@ impl SimulatedAxis for MachineSpec {
     }
 
     fn imbalances(&self, signals: &[Signal], view: &BinnedSignals) -> Imbalances {
-        imbalances(self, signals, view)
+        balance::imbalances(self, signals, view)
     }
 
     fn contradiction(&self, signals: &[Signal], cycle: &RecordedCycle) -> Option<String> {
@@ -323,114 +324,6 @@ pub(crate) fn of(record: &SimulatedSignals<Lanes>, signal: Signal) -> Lanes {
         Signal::PRod => record.p_rod,
         Signal::Load | Signal::CycleStart => record.load,
     }
-}
-
-fn imbalances(spec: &MachineSpec, signals: &[Signal], view: &BinnedSignals) -> Imbalances {
-    let signal = |signal: Signal| bins_of(signals, signal, view);
-    let dt = spec.cycle.period_s / BINS as f64;
-    let p = &spec.plant;
-    let slope = |values: &[f64], bin: usize| {
-        (values[(bin + 1) % BINS] - values[(bin + BINS - 1) % BINS]) / (2.0 * dt)
-    };
-    let sq = |k: f64, dp: f64| k * dp / (dp * dp + p.transition_pressure_pa.powi(2)).powf(0.25);
-    let mut all = Vec::new();
-    let (Some(u), Some(x)) = (signal(Signal::Command), signal(Signal::Position)) else { return all };
-    let load = |bin: usize| spec.cycle.load_n((bin as f64 + 0.5) * dt) * p.load_scale;
-    if let (Some(p_1), Some(p_2)) = (signal(Signal::PCap), signal(Signal::PRod)) {
-        let force = (0..BINS).map(|bin| {
-            let v = slope(x, bin);
-            let acceleration = (x[(bin + 1) % BINS] - 2.0 * x[bin] + x[(bin + BINS - 1) % BINS]) / (dt * dt);
-            (p.cap_area_m2 * p_1[bin] - p.annulus_area_m2 * p_2[bin] - p.viscous_friction_n_s_per_m * v
-                + load(bin)
-                - p.mass_kg * acceleration)
-                / (p.cap_area_m2 * p.relief_pressure_pa)
-        });
-        all.push(("force", force.collect()));
-        if let Some(p_3) = signal(Signal::PInlet) {
-            let leak = |bin: usize| {
-                let dp = p_1[bin] - p_2[bin];
-                sq(p.discharge_coefficient * p.leak_area_m2 * (2.0 / p.density_kg_per_m3).sqrt(), dp)
-                    + dp / p.seal_resistance_pa_s_per_m3
-            };
-            let opening = |bin: usize| p.valve_m3_per_s_sqrt_pa * u[bin].abs();
-            let flow_1 = |bin: usize| {
-                let source = if u[bin] > 0.0 { p_3[bin] } else { p.return_pressure_pa };
-                sq(opening(bin), source - p_1[bin])
-            };
-            let flow_2 = |bin: usize| {
-                let source = if u[bin] > 0.0 { p.return_pressure_pa } else { p_3[bin] };
-                sq(opening(bin), source - p_2[bin])
-            };
-            let scale = p.pump_flow_m3_per_s;
-            let cap = (0..BINS).map(|bin| {
-                let volume = p.cap_dead_volume_m3 + p.cap_area_m2 * x[bin];
-                (flow_1(bin)
-                    - p.cap_area_m2 * slope(x, bin)
-                    - leak(bin)
-                    - volume / p.bulk_modulus_pa * slope(p_1, bin))
-                    / scale
-            });
-            all.push(("cap", cap.collect()));
-            let rod = (0..BINS).map(|bin| {
-                let volume = p.rod_dead_volume_m3 + p.annulus_area_m2 * (p.stroke_m - x[bin]);
-                (flow_2(bin) + p.annulus_area_m2 * slope(x, bin) + leak(bin)
-                    - volume / p.bulk_modulus_pa * slope(p_2, bin))
-                    / scale
-            });
-            all.push(("rod", rod.collect()));
-            if let Some(p_s) = signal(Signal::PSupply) {
-                let line = |bin: usize| sq(p.line_m3_per_s_sqrt_pa, p_s[bin] - p_3[bin]);
-                let inlet = (0..BINS).map(|bin| {
-                    let drawn = if u[bin] > 0.0 { flow_1(bin) } else { flow_2(bin) };
-                    (line(bin) - drawn - p.inlet_volume_m3 / p.bulk_modulus_pa * slope(p_3, bin)) / scale
-                });
-                all.push(("inlet", inlet.collect()));
-                let supply = (0..BINS).map(|bin| {
-                    let relief =
-                        ((p_s[bin] - p.relief_pressure_pa) / p.relief_resistance_pa_s_per_m3).max(0.0);
-                    (p.pump_flow_m3_per_s
-                        - line(bin)
-                        - relief
-                        - p.supply_volume_m3 / p.bulk_modulus_pa * slope(p_s, bin))
-                        / scale
-                });
-                all.push(("supply", supply.collect()));
-            }
-        }
-    }
-    if !all.iter().any(|(equation, _)| *equation == "cap") {
-        // Without all pressures: the speed that the command gives against the speed that there is.
-        let flow = (0..BINS).map(|bin| {
-            let fastest = p.valve_m3_per_s_sqrt_pa * (0.5 * p.relief_pressure_pa).sqrt();
-            (u[bin] * fastest - p.cap_area_m2 * slope(x, bin)) / p.pump_flow_m3_per_s
-        });
-        all.push(("flow", flow.collect()));
-    }
-    if !spec.is_open_loop() {
-        all.push(("controller", controller(spec, u, x, dt)));
-    }
-    all
-}
-
-/// The command's rate against what the controller makes of demand and position: the integrator's start does not count.
-fn controller(spec: &MachineSpec, u: &[f64], x: &[f64], dt: f64) -> Vec<f64> {
-    let c = &spec.controller;
-    let error = |bin: usize| {
-        let bin = bin % BINS;
-        spec.cycle.demand_m((bin as f64 + 0.5) * dt) - x[bin]
-    };
-    let is_open = |bin: usize| spec.cycle.open_loop_at(((bin % BINS) as f64 + 0.5) * dt).is_open > 0.0;
-    (0..BINS)
-        .map(|bin| {
-            let (next, before) = (bin + 1, bin + BINS - 1);
-            // There the controller makes nothing.
-            if [before, bin, next].into_iter().any(is_open) {
-                return 0.0;
-            }
-            let rate = (u[next % BINS] - u[before % BINS]) / (2.0 * dt);
-            rate - c.kp * (error(next) - error(before)) / (2.0 * dt) - c.ki * error(bin)
-        })
-        .collect()
 }
 
 /// The command opens the valve, and the piston moves.
