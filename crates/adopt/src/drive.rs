@@ -210,22 +210,43 @@ pub fn planned(
     tick_s: f64,
 ) -> DutyCycle {
     let ticks = demand.len();
+    let strokes = edges_by_command(found, command, tick_s);
+    let count = strokes.len();
+    let level = |from: usize, to: usize| {
+        let span = to.saturating_sub(from);
+        // The middle of a hold: its ends may still move.
+        let (from, to) = (from + span / 3, (to - span / 3).max(from + span / 3 + 1));
+        mean(demand.get(from..to.min(ticks)).unwrap_or_default())
+    };
+    let levels: Vec<f64> = (0..count)
+        .map(|index| {
+            let next = strokes.get(index + 1).map_or(ticks, |next| next.0);
+            level(strokes[index].1.min(next.saturating_sub(1)), next)
+        })
+        .collect();
+    let moves = found.strokes.iter().zip(&strokes).enumerate().map(|(index, (stroke, edges))| Move {
+        name: stroke.name.clone(),
+        from_s: edges.0 as f64 * tick_s,
+        to_s: edges.1 as f64 * tick_s,
+        to_m: levels[index],
+        course: course(demand, *edges, (levels[(index + count - 1) % count], levels[index])),
+        wait_s: found.wait_s(index),
+        open_loop: stroke.open_loop.map(|part| own_command(command, *edges, part.to_s, tick_s)),
+    });
+    DutyCycle { period_s: ticks as f64 * tick_s, moves: moves.collect(), load }
+}
+
+/// Ticks at which the command leaves each stroke's hold before and is back at the one behind.
+fn edges_by_command(found: &FoundCycle, command: &[f64], tick_s: f64) -> Vec<(usize, usize)> {
+    let ticks = command.len();
     let at = |seconds: f64| ((seconds / tick_s).round() as usize).min(ticks.saturating_sub(1));
     let edges: Vec<(usize, usize)> =
         found.strokes.iter().map(|stroke| (at(stroke.from_s), at(stroke.to_s))).collect();
     let middles = middles(&edges, ticks);
-    let level = |hold: (usize, usize)| {
-        let span = hold.1.saturating_sub(hold.0);
-        // The middle of a hold: its ends may still move.
-        let (from, to) = (hold.0 + span / 3, (hold.1 - span / 3).max(hold.0 + span / 3 + 1));
-        mean(demand.get(from..to.min(ticks)).unwrap_or_default())
-    };
     // Where demand and position tell an open-loop part, they tell where strokes begin and end too: what the command does in the holds beside
     // them, as over a dead band, is the controller's.
     let has_open_loop = found.strokes.iter().any(|stroke| stroke.open_loop.is_some());
-    let mut moves = Vec::with_capacity(edges.len());
-    for (index, stroke) in found.strokes.iter().enumerate() {
-        let (from, to) = edges[index];
+    let of_stroke = |(index, &(from, to)): (usize, &(usize, usize))| {
         let peak = command[from..=to].iter().map(|u| u.abs()).fold(0.0, f64::max);
         let (hold_before, hold_after) = (middles[index], middles[index + 1]);
         // What is nearest to the middle of a hold: a stroke's slow beginning and its settling are none of its rest.
@@ -250,29 +271,9 @@ pub fn planned(
             .find(|tick| after.is_left_by(command[*tick]))
             .filter(|tick| tick + 1 < last || has_open_loop)
             .map_or(to, |tick| tick + 1);
-        moves.push((stroke.name.clone(), leaves, returns.max(leaves + 2)));
-    }
-    let levels: Vec<f64> = (0..moves.len())
-        .map(|index| {
-            let next = moves.get(index + 1).map_or(ticks, |next| next.1);
-            level((moves[index].2.min(next.saturating_sub(1)), next))
-        })
-        .collect();
-    let strokes = moves.iter().enumerate().map(|(index, (name, from, to))| {
-        let before = levels[if index == 0 { levels.len() - 1 } else { index - 1 }];
-        Move {
-            name: name.clone(),
-            from_s: *from as f64 * tick_s,
-            to_s: *to as f64 * tick_s,
-            to_m: levels[index],
-            course: course(demand, (*from, *to), (before, levels[index])),
-            wait_s: found.wait_s(index),
-            open_loop: found.strokes[index]
-                .open_loop
-                .map(|part| own_command(command, (*from, *to), part.to_s, tick_s)),
-        }
-    });
-    DutyCycle { period_s: ticks as f64 * tick_s, moves: strokes.collect(), load }
+        (leaves, returns.max(leaves + 2))
+    };
+    edges.iter().enumerate().map(of_stroke).collect()
 }
 
 /// The command of a hold.

@@ -75,31 +75,7 @@ pub(super) async fn run(
             return true;
         }
     };
-    let mut reporter = AxisReporter::new(&config, &pipeline, &context);
-    let state = context.keeper.restored(&config.axis);
-    let of_duty_cycles = state.as_ref().map(|state| &state.duty_cycles);
-    for (record, monitor) in reporter.records.iter_mut().zip(pipeline.monitors_mut()) {
-        let state = of_duty_cycles.and_then(|states| states.get(monitor.name().unwrap_or_default()));
-        record.commission(monitor, state.cloned().unwrap_or_default());
-    }
-    if let (Some(record), Some(monitor)) = (&mut reporter.relative, pipeline.relative_mut()) {
-        record
-            .commission(monitor, state.as_ref().and_then(|state| state.relative.clone()).unwrap_or_default());
-    }
-    reporter.book.look(context.clock.now_ns(), |known| {
-        state.as_ref().is_some_and(|state| state.repairs.iter().any(|heeded| heeded.repair.is_same(known)))
-    });
-    if let Some(state) = state {
-        pipeline.restore(Alarm::from(state.alarm));
-        pipeline.restore_repairs(state.repairs);
-        reporter.latch = state.latch;
-        reporter.acknowledgement = state.acknowledgement;
-        reporter.since_ns = state.since_ns;
-        reporter.estimate = state.estimate;
-    } else if config.source.log.is_none() {
-        // The machine as it is found: what was done to it before is no news.
-        reporter.book.skip_until(context.clock.now_ns());
-    }
+    let mut reporter = AxisReporter::restored(&config, &mut pipeline, &context);
     context.hub.update_axis(&config.axis, |_, view| view.phases = phases(&pipeline));
     reporter.tell(&pipeline, &source);
     let mut samples = Vec::with_capacity(1024);
@@ -109,11 +85,7 @@ pub(super) async fn run(
             biased;
             _ = stop.changed() => break false,
             Some(order) = orders.recv() => {
-                match order {
-                    Order::Acknowledge(signature) => reporter.acknowledge(&pipeline, signature),
-                    Order::Renew => reporter.renew(&mut pipeline),
-                    Order::Repair(entry) => reporter.repair(&mut pipeline, entry),
-                }
+                reporter.obey(order, &mut pipeline);
                 continue;
             }
             input = source.read(&mut samples) => input,
@@ -236,6 +208,40 @@ impl<'a> AxisReporter<'a> {
             complaint: None,
             advice: LiveAdvice::default(),
         }
+    }
+
+    /// It and its pipeline, as the daemon left them when it last ran.
+    fn restored(config: &'a AxisConfig, pipeline: &mut Pipeline, context: &'a AxisContext) -> Self {
+        let mut reporter = Self::new(config, pipeline, context);
+        let state = context.keeper.restored(&config.axis);
+        let of_duty_cycles = state.as_ref().map(|state| &state.duty_cycles);
+        for (record, monitor) in reporter.records.iter_mut().zip(pipeline.monitors_mut()) {
+            let state = of_duty_cycles.and_then(|states| states.get(monitor.name().unwrap_or_default()));
+            record.commission(monitor, state.cloned().unwrap_or_default());
+        }
+        if let (Some(record), Some(monitor)) = (&mut reporter.relative, pipeline.relative_mut()) {
+            record.commission(
+                monitor,
+                state.as_ref().and_then(|state| state.relative.clone()).unwrap_or_default(),
+            );
+        }
+        reporter.book.look(context.clock.now_ns(), |known| {
+            state
+                .as_ref()
+                .is_some_and(|state| state.repairs.iter().any(|heeded| heeded.repair.is_same(known)))
+        });
+        if let Some(state) = state {
+            pipeline.restore(Alarm::from(state.alarm));
+            pipeline.restore_repairs(state.repairs);
+            reporter.latch = state.latch;
+            reporter.acknowledgement = state.acknowledgement;
+            reporter.since_ns = state.since_ns;
+            reporter.estimate = state.estimate;
+        } else if config.source.log.is_none() {
+            // The machine as it is found: what was done to it before is no news.
+            reporter.book.skip_until(context.clock.now_ns());
+        }
+        reporter
     }
 
     /// How fast samples come; a bus has no other pace than its own.
@@ -387,6 +393,14 @@ impl<'a> AxisReporter<'a> {
                 self.config.source.stale_after_s
             );
             pipeline.stale(&mut |event| self.publish(event));
+        }
+    }
+
+    fn obey(&mut self, order: Order, pipeline: &mut Pipeline) {
+        match order {
+            Order::Acknowledge(signature) => self.acknowledge(pipeline, signature),
+            Order::Renew => self.renew(pipeline),
+            Order::Repair(entry) => self.repair(pipeline, entry),
         }
     }
 
