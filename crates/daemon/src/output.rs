@@ -5,8 +5,6 @@
 
 use std::fs::{self, File, Permissions};
 use std::io::{self, BufWriter, Write};
-use std::os::fd::AsFd;
-use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -32,11 +30,23 @@ pub struct Outputs {
     claimed: Vec<PathBuf>,
 }
 
-/// Device and number on it: the same under every name.
+/// Device and number on it: the same under every name. Nothing is opened, as a pipe would wait.
+#[cfg(unix)]
 type FileId = (u64, u64);
 
+#[cfg(unix)]
 fn id_of(path: &Path) -> Option<FileId> {
+    use std::os::unix::fs::MetadataExt;
     fs::metadata(path).ok().map(|facts| (facts.dev(), facts.ino()))
+}
+
+/// Where the system does not tell of files without opening them: the whole path, which hard links differ in.
+#[cfg(not(unix))]
+type FileId = PathBuf;
+
+#[cfg(not(unix))]
+fn id_of(path: &Path) -> Option<FileId> {
+    fs::canonicalize(path).ok()
 }
 
 impl Outputs {
@@ -142,7 +152,9 @@ impl Output {
 }
 
 fn open_as_it_is(path: &Path) -> io::Result<File> {
+    #[cfg(unix)]
     if path == Path::new("/dev/stdout") {
+        use std::os::fd::AsFd;
         // Opened anew, a file that the shell has put there would be written from its beginning.
         return io::stdout().as_fd().try_clone_to_owned().map(File::from);
     }
@@ -258,7 +270,7 @@ mod tests {
 
     #[test]
     fn what_exists_is_written_over_when_asked_through_a_link_and_with_its_mode() {
-        use std::os::unix::fs::{PermissionsExt, symlink};
+        use std::os::unix::fs::{MetadataExt, PermissionsExt, symlink};
         let folder = tempfile::tempdir().unwrap();
         let (path, link) = (folder.path().join("seepd.toml"), folder.path().join("link"));
         fs::write(&path, "old").unwrap();

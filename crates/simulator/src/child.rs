@@ -1,17 +1,16 @@
 //! A child process that answers a line with a line, each in its time.
 
 use std::io::{BufRead, BufReader, Read, Write};
-use std::os::unix::process::CommandExt;
 use std::path::Path;
-use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-use nix::sys::signal::{Signal, killpg};
-use nix::unistd::Pid;
 use thiserror::Error;
+
+use crate::process_group;
 
 /// Longest line that is taken from a child, bytes: a run of an hour at 1 kHz with seven signals.
 const LONGEST_LINE: u64 = 512 << 20;
@@ -75,15 +74,15 @@ impl LineChild {
     ) -> Result<Self, ChildError> {
         let (program, arguments) =
             command.split_first().map_or(("", [].as_slice()), |(p, a)| (p.as_str(), a));
-        let started = Command::new(program)
+        let mut command = Command::new(program);
+        command
             .args(arguments)
             .current_dir(folder)
             .envs(variables.iter().map(|(name, value)| (*name, value)))
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .process_group(0)
-            .spawn();
+            .stderr(Stdio::piped());
+        let started = process_group::lead(&mut command).spawn();
         let mut child = started.map_err(|error| ChildError::Start { program: program.to_owned(), error })?;
         let said = Arc::new(Mutex::new(String::new()));
         if let Some(errors) = child.stderr.take() {
@@ -129,7 +128,7 @@ impl LineChild {
         let parts = 20;
         for _ in 0..parts {
             if let Ok(Some(status)) = self.child.try_wait() {
-                return told(status);
+                return process_group::how(status);
             }
             thread::sleep(GRACE / parts);
         }
@@ -140,22 +139,7 @@ impl LineChild {
 impl Drop for LineChild {
     fn drop(&mut self) {
         self.lines = None;
-        if let Ok(group) = i32::try_from(self.child.id()) {
-            // One that has ended by itself may have left others in its group.
-            let _ = killpg(Pid::from_raw(group), Signal::SIGKILL);
-        }
-        let _ = self.child.wait();
-    }
-}
-
-fn told(status: ExitStatus) -> String {
-    use std::os::unix::process::ExitStatusExt;
-    match (status.code(), status.signal()) {
-        (Some(code), _) => format!("exit status {code}"),
-        (None, Some(signal)) => {
-            Signal::try_from(signal).map_or_else(|_| format!("signal {signal}"), |signal| signal.to_string())
-        }
-        (None, None) => "for no known reason".to_owned(),
+        process_group::end(&mut self.child);
     }
 }
 

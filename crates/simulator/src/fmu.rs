@@ -8,13 +8,6 @@ use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use landlock::{
-    ABI, Access, AccessFs, AccessNet, PathBeneath, PathFd, Ruleset, RulesetAttr, RulesetCreatedAttr,
-};
-use nix::sys::prctl::set_pdeathsig;
-use nix::sys::resource::{Resource, setrlimit};
-use nix::sys::signal::Signal as ProcessSignal;
-use nix::unistd::{dup, dup2_stdout};
 use seepd_fmi::{Causality, Fmu, Instance, InstanceError, ModelDescription};
 use seepd_gap::record::binned;
 use seepd_sim::cycle::DriveSample;
@@ -25,12 +18,10 @@ use tempfile::TempDir;
 use thiserror::Error;
 
 use crate::child::LineChild;
+use crate::confinement;
 use crate::mapping::{FmuMapping, MappingError, named, remarks};
 use crate::simulators::{Hosted, HostedDrive, HostedRun, RunError, around};
 use crate::spec::SimulatorSpec;
-
-/// Memory that a host may have, bytes: a model that allocates without end must not take the machine's.
-const MOST_MEMORY: u64 = 2 << 30;
 
 /// Why an FMU cannot be the simulator.
 #[derive(Debug, Error)]
@@ -51,6 +42,12 @@ pub enum FmuError {
         file: PathBuf,
         /// Why.
         error: seepd_fmi::FmuError,
+    },
+    /// The system cannot confine it.
+    #[error("{}: an FMU is foreign code and runs on Linux alone, where a process is confined to a folder; name a program of yours instead", .file.display())]
+    Unconfined {
+        /// The file.
+        file: PathBuf,
     },
     /// No place to unpack it.
     #[error("there is no place to unpack the FMU: {0}")]
@@ -118,6 +115,9 @@ impl UnpackedFmu {
     /// Reads and unpacks an FMU; nothing of it is loaded.
     pub(crate) fn new(file: &Path, host: &[String]) -> Result<Self, FmuError> {
         let (_, library) = read(file)?;
+        if !confinement::IS_KNOWN {
+            return Err(FmuError::Unconfined { file: file.to_owned() });
+        }
         let folder = tempfile::Builder::new().prefix("seepd-fmu-").tempdir().map_err(FmuError::Place)?;
         Fmu::unpack(open(file)?, folder.path()).map_err(|error| in_archive(file, error))?;
         Ok(UnpackedFmu { library: folder.path().join(library), host: host.to_vec(), folder })
@@ -166,18 +166,11 @@ struct Ready {
 /// # Errors
 /// An I/O error of these two.
 pub fn serve() -> std::io::Result<()> {
-    let mut answers = File::from(dup(std::io::stdout())?);
-    // What the model prints must not be taken for an answer.
-    dup2_stdout(std::io::stderr())?;
-    // Whoever asks is gone: so is this. Where the system knows no such limits, the time that a run may take is left.
-    let _ = set_pdeathsig(ProcessSignal::SIGKILL);
-    let _ = setrlimit(Resource::RLIMIT_AS, MOST_MEMORY, MOST_MEMORY);
-    let _ = setrlimit(Resource::RLIMIT_CORE, 0, 0);
+    let mut answers = confinement::begin()?;
     let mut lines = BufReader::new(std::io::stdin()).lines();
     let Some(first) = lines.next() else { return Ok(()) };
     let hosted = serde_json::from_str::<HostedModel>(&first?).map_err(std::io::Error::other)?;
-    // Where the kernel knows no such rules, processes of their own and limits are what is left.
-    let _ = confined(&hosted.folder);
+    confinement::close(&hosted.folder);
     let mut model = match HostedFmu::new(&hosted) {
         Ok(model) => model,
         Err(error) => {
@@ -207,21 +200,6 @@ fn advice(error: &FmuError) -> &'static str {
     } else {
         ""
     }
-}
-
-/// From here on this process writes in that folder alone and opens no connection.
-fn confined(folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
-    let abi = ABI::V4;
-    let writing = AccessFs::from_write(abi);
-    let null = PathBeneath::new(PathFd::new("/dev/null")?, AccessFs::WriteFile);
-    Ruleset::default()
-        .handle_access(writing)?
-        .handle_access(AccessNet::from_all(abi))?
-        .create()?
-        .add_rule(PathBeneath::new(PathFd::new(folder)?, writing))?
-        .add_rule(null)?
-        .restrict_self()?;
-    Ok(())
 }
 
 /// A loaded model with its variables.

@@ -2,11 +2,13 @@
 
 pub mod axis;
 pub mod child;
+mod confinement;
 pub mod demand;
 pub mod exported;
 pub mod fmu;
 pub mod mapping;
 pub mod parameter_set;
+mod process_group;
 pub mod proposal;
 pub mod simulators;
 pub mod spec;

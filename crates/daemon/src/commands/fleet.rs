@@ -1,7 +1,7 @@
 //! `seepd fleet`: jobs over the logs of many machines, which the Python package does.
 
 use std::ffi::OsString;
-use std::os::unix::process::CommandExt;
+use std::io;
 use std::process::{Command, Stdio};
 
 use clap::Args;
@@ -42,6 +42,22 @@ pub fn run(arguments: &FleetArguments) -> Result<Outcome, Failure> {
         );
         return Err(Failure::new(Code::NoInput, text));
     }
-    let error = Command::new(&python).args(["-m", "seepd", "fleet"]).args(&arguments.words).exec();
+    let mut command = Command::new(&python);
+    let error = become_this(command.args(["-m", "seepd", "fleet"]).args(&arguments.words));
     Err(Failure::new(Code::Io, format!("{name}: {error}")))
+}
+
+/// Goes on as another program; comes back where it cannot.
+#[cfg(unix)]
+fn become_this(command: &mut Command) -> io::Error {
+    std::os::unix::process::CommandExt::exec(command)
+}
+
+/// Where a process cannot become another: waits for it, and ends as it does.
+#[cfg(not(unix))]
+fn become_this(command: &mut Command) -> io::Error {
+    match command.status() {
+        Ok(ended) => std::process::exit(ended.code().unwrap_or(1)),
+        Err(error) => error,
+    }
 }
