@@ -564,3 +564,20 @@ fn explain_tells_what_helps_and_knows_what_was_meant() {
     assert_eq!(unknown.status.code(), Some(64));
     assert!(stderr(&unknown).contains("did you mean `unlike_training`?"), "{}", stderr(&unknown));
 }
+
+/// Files as Windows' PowerShell writes them with `>`.
+#[test]
+fn a_plant_and_a_configuration_in_utf_16_are_what_they_are_in_utf_8() {
+    let folder = tempfile::tempdir().unwrap();
+    let utf_16 = |name: &str, text: &str| {
+        let units = text.encode_utf16().flat_map(u16::to_le_bytes);
+        let path = folder.path().join(name);
+        fs::write(&path, [0xff, 0xfe].into_iter().chain(units).collect::<Vec<u8>>()).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let plant = utf_16("plant.toml", &fs::read_to_string(fixture("other_press.toml")).unwrap());
+    let config =
+        utf_16("seepd.toml", "[signals.command] # Δ\ntopic = \"/axis/signals\"\nfield = \"command\"\n");
+    let text = stdout(&seepd(["check", &plant, &config]));
+    assert!(text.contains("good plant") && text.contains("good configuration"), "{text}");
+}

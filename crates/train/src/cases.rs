@@ -29,25 +29,7 @@ impl Case {
     }
 }
 
-/// The cycles that are learned from.
-///
-/// # Errors
-/// [`TrainError::Unrecognised`] where too few are.
-pub(crate) fn learn_set(
-    spec: &MachineSpec,
-    settings: &TrainingSettings,
-    reading: &Reading<'_>,
-    portions: &mut Portions,
-    tell: &mut dyn FnMut(Stage, usize, usize),
-) -> Result<Vec<Case>, TrainError> {
-    let cases = simulate(spec, settings, reading, portions, tell)?;
-    let (found, simulated) = (cases.len(), settings.observations);
-    if (found as f64) < settings.least_recognised * simulated as f64 {
-        return Err(TrainError::Unrecognised { found, simulated });
-    }
-    Ok(cases)
-}
-
+/// Simulates the cycles that are learned from; those that are not recognised are left out.
 pub(crate) fn simulate(
     spec: &MachineSpec,
     settings: &TrainingSettings,
@@ -77,6 +59,18 @@ pub(crate) fn simulate(
         tell(Stage::Simulate, done, observations.len());
     })?;
     Ok(cases)
+}
+
+/// Refuses to learn from too few of the cycles that were simulated.
+///
+/// # Errors
+/// [`TrainError::Unrecognised`].
+pub(crate) fn check_enough(cases: &[Case], settings: &TrainingSettings) -> Result<(), TrainError> {
+    let (found, simulated) = (cases.len(), settings.observations);
+    if (found as f64) < settings.least_recognised * simulated as f64 {
+        return Err(TrainError::Unrecognised { found, simulated });
+    }
+    Ok(())
 }
 
 /// The random stream of an observation's measurement noise, apart from the one of its parameters.

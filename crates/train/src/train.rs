@@ -245,7 +245,8 @@ pub fn train_with(
     let frame = ReadingFrame::of(spec, &cycle);
     let reading = frame.reading(&cycle);
 
-    let learned = cases::learn_set(spec, settings, &reading, &mut portions, tell)?;
+    let learned = cases::simulate(spec, settings, &reading, &mut portions, tell)?;
+    cases::check_enough(&learned, settings)?;
     let absolute = absolute::learn(spec, settings, &reading, &learned, &mut portions, &mut |done, all| {
         tell(Stage::Search, done, all);
     })?;

@@ -20,6 +20,7 @@ use crate::cli::Outcome;
 use crate::failure::{Code, Failure};
 use crate::output::{Outputs, OverwriteArguments};
 use crate::progress::{Steps, warn};
+use crate::quantity::percent;
 
 /// Checks named causes on machines of another simulator: each has a baseline, then a step or a drift of a cause that is withheld from the
 /// monitor.
@@ -148,7 +149,7 @@ const LPM_PER_M2: f64 = 5.3e6;
 fn table(scores: &Scores, wrong: bool) -> String {
     let share = |share: Share| format!("{:.3} ({} of {})", share.value(), share.count, share.of);
     let two = |[alone, beside]: [Share; 2]| format!("{}, {}", share(alone), share(beside));
-    let error = |[median, ninth]: [f64; 2]| format!("{:.1} %, {:.1} %", 100.0 * median, 100.0 * ninth);
+    let error = |[median, ninth]: [f64; 2]| format!("{}, {}", percent(median, 1), percent(ninth, 1));
     let rows = [
         ("machines", scores.machines.to_string()),
         ("flag on a machine without a leak", share(scores.false_flags)),

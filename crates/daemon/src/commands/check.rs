@@ -98,8 +98,10 @@ pub fn run(arguments: &CheckArguments) -> Result<Outcome, Failure> {
 
 /// The file's kind, and what it is or what is wrong with it.
 fn check(path: &Path) -> (&'static str, Result<Good, Failure>) {
-    let text = match side_file::read(path) {
-        Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
+    // A damaged model is one all the same.
+    let lossy = |_| side_file::read(path).map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    let text = match side_file::read_text(path).or_else(lossy) {
+        Ok(text) => text,
         Err(error) => return ("file", Err(Failure::reading(path, &error))),
     };
     if text.trim_start().starts_with('{') {

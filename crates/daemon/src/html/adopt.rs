@@ -15,6 +15,7 @@ use super::{catalogue, page};
 use crate::commands::adopt::Described;
 use crate::commands::adopt::capability::Capability;
 use crate::commands::adopt::told;
+use crate::quantity::percent;
 
 /// Cycles that are laid over each other, and points of each.
 const DRAWN_CYCLES: usize = 30;
@@ -208,8 +209,8 @@ fn gap(described: &Described) -> Markup {
         @if let Some(rest) = described.adoption.demand_rest { "The demand was looked for under which the simulated machine gives this command; "
             (format!("{:.1}", 100.0 * rest)) " % of the command's range stay unexplained." } } };
     };
-    let percent = |map: &BTreeMap<&'static str, f64>, signal: &str| {
-        format!("{:.2} %", 100.0 * map.get(signal).copied().unwrap_or(f64::NAN))
+    let share = |map: &BTreeMap<&'static str, f64>, signal: &str| {
+        percent(map.get(signal).copied().unwrap_or(f64::NAN), 2)
     };
     let bins = calibration.recorded.first().map_or(1, Vec::len);
     let width_s = described.adoption.spec.cycle.period_s / bins as f64;
@@ -239,7 +240,7 @@ fn gap(described: &Described) -> Markup {
         table {
             thead { tr { th { "Signal" } th.number { "before" } th.number { "calibrated" } th.number { "among cycles" } } }
             tbody { @for signal in calibration.gaps[1].keys() { tr {
-                td { (signal) } td.number { (percent(&calibration.gaps[0], signal)) } td.number { (percent(&calibration.gaps[1], signal)) } td.number { (percent(&calibration.floor, signal)) }
+                td { (signal) } td.number { (share(&calibration.gaps[0], signal)) } td.number { (share(&calibration.gaps[1], signal)) } td.number { (share(&calibration.floor, signal)) }
             } } }
         }
         (chart.render())

@@ -7,7 +7,7 @@ use seepd_monitor::event::Flag;
 use super::chart::{Axis, Chart, Layer};
 use super::flags::{self, colour};
 use super::page;
-use crate::quantity::bar;
+use crate::quantity::{bar, percent};
 
 /// An estimate beside the truth.
 #[derive(Debug, Clone, PartialEq)]
@@ -77,7 +77,7 @@ impl DemoPage {
                 @if let Some(last) = last {
                     " At the end it says " strong { (format!("{:.2} L/min", last.estimate_lpm)) } " at " (reference_bar)
                     " bar; the truth is " strong { (format!("{:.2} L/min", last.truth_lpm)) } ". Median error above the watch threshold: "
-                    strong { (format!("{:.1} %", 100.0 * self.median_error)) } "."
+                    strong { (percent(self.median_error, 1)) } "."
                 }
             }
             h2 { "The command of a healthy and of a worn cycle" }

@@ -106,7 +106,7 @@ impl GapPage<'_> {
                 @for (place, (name, value, colour)) in rows(signal).into_iter().enumerate() { tr {
                     td { @if place == 0 { (signal) } }
                     td { (name) }
-                    td.number { (format!("{:.2} %", 100.0 * value)) }
+                    td.number { (percent(value, 2)) }
                     td.grow { (bar(value / largest, colour)) }
                 } }
             } } }

@@ -10,7 +10,7 @@ use seepd_study::holding::{ACCURATE_WITHIN_M, ARTICLE_LPM, Hold};
 
 use super::chart::{Axis, Chart, Layer, Size, number};
 use super::page;
-use crate::quantity::{MM2_PER_M2, bar, mm2};
+use crate::quantity::{MM2_PER_M2, bar, mm2, percent};
 
 /// Curves of one figure from light to dark.
 const SHADES: [&str; 6] = ["shade-0", "shade-1", "shade-2", "shade-3", "shade-4", "shade-5"];
@@ -191,7 +191,7 @@ impl StudyPage<'_> {
                 td.number { (curve.values.first().map_or(String::new(), |value| format!("{value:.4}"))) }
                 td.number { (curve.values.last().map_or(String::new(), |value| format!("{value:.4}"))) }
                 td.number { (format!("{:.3}", curve.rank_correlation)) }
-                td.number { (format!("{:.0} %", 100.0 * curve.net_share)) }
+                td.number { (percent(curve.net_share, 0)) }
             } } }
         } } p.soft { "A curve that only rises or only falls has a rank correlation (Spearman) of ±1, and a net share of its way of 100 %: it never turns back." } }
     }
@@ -221,7 +221,7 @@ impl StudyPage<'_> {
             thead { tr { th { "Feature" } th.number { "change without the filter" } th.number { "with the filter" } } }
             tbody { @for (name, change) in FIVE.iter().zip(&self.study.noise.change) { tr {
                 td { (name.replace('_', " ")) }
-                @for value in change { td.number { (format!("{:.3} %", 100.0 * value)) } }
+                @for value in change { td.number { (percent(*value, 3)) } }
             } } }
         } } p.soft { "RMS change from noise 0.001 to 0.01, share of the feature's range over the leaks." } }
     }
@@ -271,7 +271,7 @@ impl StudyPage<'_> {
                 td.number { (line.noise) }
                 td.number { (format!("{:.5}", line.r2)) }
                 td.number { (mm2(line.mean_absolute_error_m2)) }
-                @for error in line.median_relative_error { td.number { (format!("{:.2} %", 100.0 * error)) } }
+                @for error in line.median_relative_error { td.number { (percent(error, 2)) } }
             } } }
         } } p.soft { "Leaks are spread evenly over the decades, on " (self.study.ensembles.accuracy.first().map_or(0, |line| line.count)) " machines each, with the Kalman filter. The \
             article's ensemble has " (FIVE.len()) " features and " (LEARNERS) " learners, and learned from " (OBSERVATIONS) " observations whose areas are spread evenly over the range, at noise 0.001." } }

@@ -16,6 +16,7 @@ use crate::cli::Outcome;
 use crate::commands::blind::{read_json, tell_or_write};
 use crate::failure::Failure;
 use crate::output::{Outputs, OverwriteArguments};
+use crate::quantity;
 
 #[derive(Debug, Args)]
 pub(super) struct ScoreArguments {
@@ -114,7 +115,7 @@ fn cycles_of(text: &str) -> Result<Vec<CycleAnswer>, serde_json::Error> {
 }
 
 fn tables(scores: &BTreeMap<&str, Scores>) -> String {
-    let percent = |share: Option<f64>| share.map_or("–".into(), |share| format!("{:.1} %", 100.0 * share));
+    let percent = |share: Option<f64>| quantity::percent(share.unwrap_or(f64::NAN), 1);
     let of = |[count, all]: [usize; 2]| format!("{count} of {all}");
     type Cell<'a> = &'a dyn Fn(&Scores) -> String;
     let rows: [(&str, Cell); 9] = [
