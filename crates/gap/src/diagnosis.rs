@@ -161,7 +161,7 @@ fn diagnose_unchanged<A: SimulatedAxis>(
     let held_out = HeldOut { record, cycles: &held_out };
     borne_out(&held_out, &mut found.explanations);
     tell(3);
-    let ranked = RankedExplanations::new(&problem, found);
+    let ranked = RankedExplanations::new(&problem, &held_out, found);
     let (verdict, reason) = verdict(&problem, record, &nominal, &ranked);
     let learned = if verdict == Verdict::Unknown { learn(&problem, &ranked.calibrated) } else { Vec::new() };
     let told = DiagnosisInputs {
@@ -294,9 +294,9 @@ struct RankedExplanations<A> {
 }
 
 impl<A: SimulatedAxis> RankedExplanations<A> {
-    fn new(problem: &Problem<'_>, found: SearchResult<A>) -> Self {
+    fn new(problem: &Problem<'_>, held_out: &HeldOut<'_>, found: SearchResult<A>) -> Self {
         let Ranking { none, unknown, explanations: probabilities } =
-            rank(problem, &found.calibrated, &found.explanations);
+            rank(problem, &found.calibrated, &found.explanations, |machine| held_out.sensors(machine));
         let mut explanations: Vec<(Explanation<A>, f64)> =
             found.explanations.into_iter().zip(probabilities).collect();
         explanations.sort_by(|a, b| b.1.total_cmp(&a.1));

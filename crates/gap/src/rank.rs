@@ -3,15 +3,19 @@
 //! Three questions in turn. *Is there a gap that calibration leaves?* Scores decide between the calibrated machine and those with effects,
 //! and the calibrated gap itself, over what differs from cycle to cycle, says whether anything is left at all. *Does the catalogue explain
 //! it?* The share that the best machine leaves of what calibration leaves: the right cause leaves noise, or, under a somewhat different
-//! law, less than half; a cause that the catalogue lacks is imitated in parts. *Which effect is it?* Scores again.
+//! law, less than half; a cause that the catalogue lacks is imitated in parts. And what its pressure transducers would have to be off by:
+//! one may have failed, several have not. *Which effect is it?* Scores again.
 //!
 //! Scores are log-likelihoods of the differences' mean squares by signal, with heavy tails, since the right cause under a slightly
 //! different law leaves a small rest; each free parameter of an effect costs half the logarithm of the number of independent values
 //! (Schwarz, Annals of Statistics 6 (1978)).
 
+use seepd_sim::SensorError;
+
 use crate::fit::{Fit, INDEPENDENT, Problem, prior_cost};
 use crate::search::Explanation;
 use crate::simulated_axis::SimulatedAxis;
+use crate::transducers::odds_of_imitation;
 
 /// Prior probability of no effect.
 const PRIOR_NONE: f64 = 0.45;
@@ -79,11 +83,12 @@ pub(crate) fn score<A>(problem: &Problem<'_>, fit: &Fit<A>, parameters: f64) -> 
         - 0.5 * parameters * INDEPENDENT.ln()
 }
 
-/// Weighs the explanations.
+/// Weighs the explanations; `sensors` tells what each signal's sensor is off by, if the machine is that one.
 pub(crate) fn rank<A: SimulatedAxis>(
     problem: &Problem<'_>,
     calibrated: &Fit<A>,
     explanations: &[Explanation<A>],
+    sensors: impl Fn(&A) -> Vec<Option<SensorError>>,
 ) -> Ranking {
     let each = (1.0 - PRIOR_NONE) / calibrated.spec.catalogue().len() as f64;
     let mut logs = vec![TEMPER * score(problem, calibrated, 0.0) + PRIOR_NONE.ln()];
@@ -98,8 +103,11 @@ pub(crate) fn rank<A: SimulatedAxis>(
 
     let none = weights[0] / sum / (1.0 + (beyond_noise(problem, calibrated) / EVIDENT).powi(4));
     let best = explanations.iter().zip(&weights[1..]).max_by(|a, b| a.1.total_cmp(b.1));
-    let left = best.map_or(1.0, |(best, _)| left(problem, calibrated, best));
-    let unexplained = unexplained(left);
+    let unexplained = best.map_or(1.0, |(best, _)| {
+        let by_share = unexplained(left(problem, calibrated, best));
+        let odds = odds_of_imitation(&problem.record.signals, &sensors(&best.fit.spec));
+        odds * by_share / (odds * by_share + 1.0 - by_share)
+    });
     let with_effects = (sum - weights[0]).max(f64::MIN_POSITIVE);
     let named = (1.0 - none) * (1.0 - unexplained);
     let unknown = if explanations.is_empty() { 1.0 - none } else { (1.0 - none) * unexplained };

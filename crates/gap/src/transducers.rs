@@ -69,6 +69,26 @@ pub(crate) fn worth_a_check(
     if beyond.len() > 1 && 2 * beyond.len() >= judged.len() { Vec::new() } else { beyond }
 }
 
+/// Beforehand, the share of transducers that have failed, and how many times its class one is off then.
+const FAILED: (f64, f64) = (0.02, 10.0);
+/// Share of its transducers that a machine which only imitates the cause needs off, and by how many times their class.
+const BENT: (f64, f64) = (0.5, 3.0);
+
+/// How many times likelier it is that transducers are off by so much where the machine only imitates the cause than where it has it, at
+/// least 1. They fail one by one; a machine that imitates needs several off at once, by what no class allows.
+pub(crate) fn odds_of_imitation(signals: &[Signal], errors: &[Option<SensorError>]) -> f64 {
+    // Of a gain and a zero that are normal with that spread, in classes.
+    let density = |off: f64, spread: f64| (-0.5 * (off / spread).powi(2)).exp() / (spread * spread);
+    let mixed = |off: f64, (share, spread): (f64, f64)| {
+        (1.0 - share) * density(off, 1.0) + share * density(off, spread)
+    };
+    let odds = |(signal, error): (&Signal, &Option<SensorError>)| {
+        let off = deviations(*signal, (*error)?)?;
+        Some(mixed(off, BENT) / mixed(off, FAILED).max(f64::MIN_POSITIVE))
+    };
+    signals.iter().zip(errors).filter_map(odds).product::<f64>().max(1.0)
+}
+
 /// What a signal's sensor may add to weighted differences: two shapes of length 1, and how much of each is taken off.
 #[derive(Debug, Clone)]
 pub(crate) struct Allowance {
@@ -196,6 +216,26 @@ mod tests {
         let told = |leaves_a_gap| believable(&signals, &errors, leaves_a_gap);
         assert_eq!(told(true), BTreeMap::from([("p_supply", within)]));
         assert_eq!(told(false), BTreeMap::from([("p_supply", within), ("p_cap", beyond)]));
+    }
+
+    #[test]
+    fn one_transducer_fails_and_several_are_bent() {
+        let signals = [Signal::Position, Signal::PSupply, Signal::PInlet, Signal::PCap, Signal::PRod];
+        let odds = |off: [f64; 4]| {
+            let error = |off: f64| Some(SensorError { gain: 0.0, zero: off * PRESSURE.zero });
+            let errors = [None, error(off[0]), error(off[1]), error(off[2]), error(off[3])];
+            odds_of_imitation(&signals, &errors)
+        };
+        // Within their class, at its edge, and with one that has failed, by a little or altogether: no odds to speak of.
+        assert_eq!(odds([0.5, 1.0, 0.2, 1.2]), 1.0);
+        assert!(odds([1.8, 2.3, 2.4, 2.7]) < 3.0);
+        assert!(odds([0.5, 0.2, 8.0, 1.0]) < 3.0);
+        assert_eq!(odds([0.5, 0.2, 80.0, 1.0]), 1.0);
+        // The two of the chambers by four and five classes: nothing but another cause bends both.
+        assert!(odds([0.1, 0.4, 3.9, 4.4]) > 300.0);
+        assert!(odds([1.0, 1.5, 4.3, 5.6]) > 1000.0);
+        // Where no transducer is recorded, none tells.
+        assert_eq!(odds_of_imitation(&signals[..1], &[None]), 1.0);
     }
 
     #[test]
