@@ -367,6 +367,12 @@ impl<'r> Problem<'r> {
         }
         sums.into_iter().map(|sum| sum / INDEPENDENT).collect()
     }
+
+    /// The same beyond what differs from cycle to cycle, 0 at least.
+    pub(crate) fn beyond_noise(&self, residual: &DVector<f64>) -> Vec<f64> {
+        let squares = self.by_signal(residual);
+        squares.iter().zip(&self.noise).map(|(square, noise)| (square - noise).max(0.0)).collect()
+    }
 }
 
 /// What each signal's sensor may add to weighted differences, by drive and bin.

@@ -7,7 +7,8 @@
 //! one may have failed, several have not. *Which effect is it?* Scores again.
 //!
 //! Scores are log-likelihoods of the differences' mean squares by signal, with heavy tails, since the right cause under a slightly
-//! different law leaves a small rest; each free parameter of an effect costs half the logarithm of the number of independent values
+//! different law leaves a small rest. How well the simulator describes the machine otherwise is not known beforehand: a machine that leaves
+//! less than a model's usual error shows that this one is better, and counts for it. Each free parameter of an effect costs half the logarithm of the number of independent values
 //! (Schwarz, Annals of Statistics 6 (1978)).
 
 use seepd_sim::SensorError;
@@ -23,6 +24,8 @@ const PRIOR_NONE: f64 = 0.45;
 const PRIOR_ANOTHER: f64 = 0.3;
 /// Share of the score that is believed: the scores' own errors are of the order of the scores.
 pub(crate) const TEMPER: f64 = 0.25;
+/// Mean square over expected error below which a machine is not the better for leaving less.
+const OWN_ERROR: f64 = 0.3;
 /// Evidence of a gap beyond noise at which "no effect" is as likely as not, whatever the scores say: a signal or two off by somewhat more
 /// than their expected error.
 const EVIDENT: f64 = 1.2;
@@ -59,7 +62,7 @@ pub(crate) fn rather_imitates<A>(
 /// Share that a machine leaves of what calibration leaves: of the evidence, in which small signals count as much as large ones, and of the
 /// size, in which a real machine's many small rests do not outweigh what was explained. Shares of next to nothing say nothing.
 fn left<A>(problem: &Problem<'_>, calibrated: &Fit<A>, explanation: &Explanation<A>) -> f64 {
-    let size = |fit: &Fit<A>| problem.by_signal(&fit.residual).iter().sum::<f64>().sqrt();
+    let size = |fit: &Fit<A>| problem.beyond_noise(&fit.residual).iter().sum::<f64>().sqrt();
     let gap = beyond_noise(problem, calibrated);
     let of_evidence = beyond_noise(problem, &explanation.fit) / gap.max(0.1 * EVIDENT);
     let of_size = if of_evidence > 0.0 { size(&explanation.fit) / size(calibrated) } else { 0.0 };
@@ -78,9 +81,8 @@ pub(crate) fn evidence(by_signal: &[f64]) -> f64 {
 
 /// Score of a machine whose effects have that many parameters.
 pub(crate) fn score<A>(problem: &Problem<'_>, fit: &Fit<A>, parameters: f64) -> f64 {
-    -0.5 * INDEPENDENT * evidence(&problem.by_signal(&fit.residual))
-        - 0.5 * prior_cost(&fit.free, &fit.at)
-        - 0.5 * parameters * INDEPENDENT.ln()
+    let left: f64 = problem.by_signal(&fit.residual).iter().map(|square| (OWN_ERROR + square).ln()).sum();
+    -0.5 * INDEPENDENT * left - 0.5 * prior_cost(&fit.free, &fit.at) - 0.5 * parameters * INDEPENDENT.ln()
 }
 
 /// Weighs the explanations; `sensors` tells what each signal's sensor is off by, if the machine is that one.

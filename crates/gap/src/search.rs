@@ -59,10 +59,15 @@ const BEAM: usize = 2;
 const NEXT: usize = 3;
 /// Most effects of a machine.
 const MOST_EFFECTS: usize = 3;
-/// Mean square over expected error of a signal up to which nothing is left to explain.
-const NOTHING_LEFT: f64 = 3.0;
+/// Mean square over expected error of a signal beyond noise up to which a model may be wrong by itself.
+const OF_THE_MODEL: f64 = 3.0;
+/// The same up to which one effect leaves nothing for a second: it may be a small one, where the simulator is as good as that.
+const NOTHING_LEFT: f64 = 0.2;
 /// Share of the cost that a further effect has to leave at most to be kept.
 const WORTH_ANOTHER_EFFECT: f64 = 0.7;
+/// Share of what is left beyond noise that it has to leave at most where that may be the model's: a right effect takes most of it, one that
+/// imitates a model's errors does not.
+const MOST_OF_IT: f64 = 0.5;
 
 /// Searches from the calibrated and the untouched machine.
 pub(crate) fn search<A: SimulatedAxis>(
@@ -148,12 +153,23 @@ fn polish<A: SimulatedAxis>(
 
 /// Whether a machine leaves something that a further effect may explain.
 fn wants_another<A>(problem: &Problem<'_>, calibrated: &Fit<A>, one: &Explanation<A>) -> bool {
-    something_left(problem, &one.fit)
-        || (something_left(problem, calibrated) && rather_imitates(problem, calibrated, one))
+    let least = if one.effects.len() == 1 { NOTHING_LEFT } else { OF_THE_MODEL };
+    leaves(problem, &one.fit, least)
+        || (leaves(problem, calibrated, OF_THE_MODEL) && rather_imitates(problem, calibrated, one))
 }
 
-fn something_left<A>(problem: &Problem<'_>, fit: &Fit<A>) -> bool {
-    problem.by_signal(&fit.residual).into_iter().any(|square| square > NOTHING_LEFT)
+/// Whether more than that is left of a signal, in squares of its expected error beyond noise.
+fn leaves<A>(problem: &Problem<'_>, fit: &Fit<A>, least: f64) -> bool {
+    problem.beyond_noise(&fit.residual).into_iter().any(|square| square > least)
+}
+
+/// Whether a machine with a further effect takes so much of what one leaves that it is kept.
+fn is_worth_it<A>(problem: &Problem<'_>, before: &Fit<A>, with: &Fit<A>) -> bool {
+    if leaves(problem, before, OF_THE_MODEL) {
+        return with.cost < WORTH_ANOTHER_EFFECT * before.cost;
+    }
+    let left = |fit: &Fit<A>| problem.beyond_noise(&fit.residual).iter().sum::<f64>();
+    with.cost < before.cost && left(with) < MOST_OF_IT * left(before)
 }
 
 /// Calibration from where the best effect's fit has put the plant's parameters, without the effect.
@@ -260,7 +276,8 @@ fn add_effects<A: SimulatedAxis>(
         let mut grown: Vec<Explanation<A>> = Vec::new();
         for base in bases.iter().filter(|base| wants_another(problem, calibrated, base)) {
             let mut found = base.grown(problem, &base.fit.clone().renewed(problem), Fit::fitted, settings);
-            if found.is_empty() && !untouched.spec.is_spent() {
+            let parameters_may_be_bent = leaves(problem, &base.fit, OF_THE_MODEL);
+            if found.is_empty() && parameters_may_be_bent && !untouched.spec.is_spent() {
                 let untouched = base.beside_the_untouched(problem, untouched);
                 found = base.grown(problem, &untouched, Fit::fitted_from_afar, settings);
             }
@@ -268,7 +285,7 @@ fn add_effects<A: SimulatedAxis>(
         }
         grown
             .par_iter_mut()
-            .filter(|one| !untouched.spec.is_spent() && something_left(problem, &one.fit))
+            .filter(|one| !untouched.spec.is_spent() && leaves(problem, &one.fit, OF_THE_MODEL))
             .for_each(|one| one.try_beside_the_untouched(problem, untouched, settings));
         bases = most_likely(problem, &grown, 1);
         explanations.extend(grown.into_iter().filter(|one| !one.is_idle()));
@@ -327,7 +344,7 @@ impl<A: SimulatedAxis> Explanation<A> {
         };
         let next = screen(problem, from, &settings.without);
         let mut grown: Vec<Self> = next.par_iter().take(NEXT).map(with_another).collect();
-        grown.retain(|one| one.fit.cost < WORTH_ANOTHER_EFFECT * self.fit.cost);
+        grown.retain(|one| is_worth_it(problem, &self.fit, &one.fit));
         grown
     }
 
