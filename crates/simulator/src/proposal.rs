@@ -57,7 +57,7 @@ fn guess<'d>(description: &'d ModelDescription, name: &str, causality: Causality
 
 /// One line for each input, output and parameter: name, causality, unit, start, bounds, and what its author says of it.
 pub fn overview(description: &ModelDescription) -> String {
-    let number = |value: Option<f64>| value.map_or("–".to_owned(), |value| value.to_string());
+    let number = |value: Option<f64>| value.map_or("–".to_owned(), number);
     let kind = |causality| match causality {
         Causality::Input => Some("input"),
         Causality::Output => Some("output"),
@@ -78,6 +78,15 @@ pub fn overview(description: &ModelDescription) -> String {
         );
     }
     text
+}
+
+/// All of a number's digits, very small and very large ones with their power of ten.
+fn number(value: f64) -> String {
+    if value == 0.0 || (1e-4..1e7).contains(&value.abs()) {
+        value.to_string()
+    } else {
+        format!("{value:e}")
+    }
 }
 
 /// A plant file for the model, where it is named so. What cannot be told stands in it as a comment with the variables that it may be.
@@ -183,6 +192,12 @@ mod tests {
             let table: toml::Table = toml::from_str(&text).unwrap_or_else(|error| panic!("{text}: {error}"));
             assert_eq!(table.keys().next().map(String::as_str), Some(name), "{text}");
         }
+    }
+
+    #[test]
+    fn numbers_are_short_and_exact() {
+        let told = [0.0, 0.5, -250.0, 1.5e-3, f64::MIN_POSITIVE, -2e9].map(number);
+        assert_eq!(told, ["0", "0.5", "-250", "0.0015", "2.2250738585072014e-308", "-2e9"]);
     }
 
     #[test]
