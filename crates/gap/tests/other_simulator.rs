@@ -174,6 +174,39 @@ fn a_consumer_beside_a_dead_band_is_found_from_the_supply() {
     assert!(found.shrink.of_removable > 0.95, "{:?}", found.shrink);
 }
 
+/// The structure shows in the chambers' pressures alone, by a thousandth of their range beside the load: it is all of what the load leaves.
+/// One effect that left less than 0.35 % of every signal's range had been the whole cause.
+#[test]
+fn a_small_effect_beside_a_large_one_is_found() {
+    let structure = [("stiffness_n_per_m", 5e6), ("mass_fraction", 0.57)];
+    let load = [("force_n", -3300.0)];
+    let mut press = press(&[("load_bias", &load), ("structure_compliance", &structure)]);
+    press.other_law = false;
+    let found = diagnosed(&log(&press));
+    assert_eq!(found.chosen, ["load_bias", "structure_compliance"]);
+    assert!(found.shrink.of_removable > 0.99, "{:?}", found.shrink);
+}
+
+/// A gap of two thousandths of the command's range that the effect explains altogether; it was given to the parameters with 0.7.
+#[test]
+fn a_small_gap_that_one_effect_explains_is_that_effect() {
+    let found =
+        diagnosed(&log(&press(&[("valve_flow_shape", &[("exponent", 0.905), ("notch_start", 0.0)])])));
+    assert_eq!(found.chosen, ["valve_flow_shape"]);
+}
+
+/// An asymmetric valve imitates it but for the chambers' pressures, which both of their transducers would have to show 2 bar too high. It was
+/// that valve with 0.99.
+#[test]
+fn a_counterbalance_valve_is_no_asymmetric_valve() {
+    let foreign = Some(Foreign::Counterbalance { pressure_pa: 1.9e6 });
+    let mut press = Press { foreign, ..press(&[]) };
+    press.plant.leak_area_m2 = 1.35e-6;
+    let found = diagnosed(&log_under(&press, 0.014));
+    assert_eq!(found.verdict, Verdict::Unknown);
+    assert!(found.unknown_probability > 0.8, "{}", found.unknown_probability);
+}
+
 /// Notes on transducers.
 fn blamed(found: &Diagnosis) -> Vec<&String> {
     found.notes.iter().filter(|note| note.contains("transducer")).collect()
