@@ -82,11 +82,7 @@ pub fn overview(description: &ModelDescription) -> String {
 
 /// All of a number's digits, very small and very large ones with their power of ten.
 fn number(value: f64) -> String {
-    if value == 0.0 || (1e-4..1e7).contains(&value.abs()) {
-        value.to_string()
-    } else {
-        format!("{value:e}")
-    }
+    if value == 0.0 || (1e-4..1e7).contains(&value.abs()) { value.to_string() } else { format!("{value:e}") }
 }
 
 /// A plant file for the model, where it is named so. What cannot be told stands in it as a comment with the variables that it may be.
