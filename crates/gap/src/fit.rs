@@ -7,6 +7,7 @@ use std::borrow::Cow;
 
 use nalgebra::{DMatrix, DVector};
 use seepd_signals::Signal;
+use seepd_sim::SensorError;
 use seepd_sim::cycle::DriveSample;
 use seepd_sim::effects::{EffectInfo, Parameter};
 use seepd_sim::real::LANES;
@@ -366,6 +367,17 @@ impl<'r> Problem<'r> {
             sums[index / BINS % signals] += value * value;
         }
         sums.into_iter().map(|sum| sum / INDEPENDENT).collect()
+    }
+
+    /// The same of what sensors that are off by so much add to what is shown; 0 for one without an error.
+    pub(crate) fn of_sensors(&self, errors: &[Option<SensorError>]) -> Vec<f64> {
+        let of = |(signal, error): (usize, &Option<SensorError>)| {
+            let Some(error) = error else { return 0.0 };
+            let shown = self.shown.iter().flat_map(|view| view[signal].iter());
+            let added = shown.filter(|value| value.is_finite()).map(|value| error.gain * value + error.zero);
+            added.map(|added| (added * self.weights[signal]).powi(2)).sum::<f64>() / INDEPENDENT
+        };
+        errors.iter().enumerate().map(of).collect()
     }
 
     /// The same beyond what differs from cycle to cycle, 0 at least.

@@ -31,6 +31,9 @@ const OWN_ERROR: f64 = 0.3;
 const EVIDENT: f64 = 1.2;
 /// Share that the best machine leaves at which "none of these" is as likely as not, and the width of the change.
 const HALF_EXPLAINED: (f64, f64) = (0.47, 0.06);
+/// What a sensor's error takes, as a share of what calibration leaves of its signal, from which on it tells of an imitation, and from which
+/// on it does so in full.
+const BENT_SHARE: (f64, f64) = (0.3, 0.6);
 /// What a further effect of a machine adds to that share: two effects imitate more than one.
 const SHARE_OF_ANOTHER: f64 = 0.03;
 
@@ -85,6 +88,19 @@ pub(crate) fn score<A>(problem: &Problem<'_>, fit: &Fit<A>, parameters: f64) -> 
     -0.5 * INDEPENDENT * left - 0.5 * prior_cost(&fit.free, &fit.at) - 0.5 * parameters * INDEPENDENT.ln()
 }
 
+/// How many times likelier it is by the sensors' errors that a machine only imitates the cause. An error tells where it takes a good part of
+/// what calibration leaves of its signal: beside a large gap, the small rest of a cause under another law bends sensors as well.
+fn odds_by_sensors<A>(problem: &Problem<'_>, calibrated: &Fit<A>, errors: &[Option<SensorError>]) -> f64 {
+    let gaps = problem.by_signal(&calibrated.residual);
+    let bent = problem.of_sensors(errors);
+    let (from, to) = BENT_SHARE;
+    let told = bent.iter().zip(&gaps).map(|(bent, gap)| {
+        let share = (bent / gap.max(f64::MIN_POSITIVE)).sqrt();
+        ((share - from) / (to - from)).clamp(0.0, 1.0)
+    });
+    odds_of_imitation(&problem.record.signals, errors, &told.collect::<Vec<f64>>())
+}
+
 /// Weighs the explanations; `sensors` tells what each signal's sensor is off by, if the machine is that one.
 pub(crate) fn rank<A: SimulatedAxis>(
     problem: &Problem<'_>,
@@ -107,7 +123,7 @@ pub(crate) fn rank<A: SimulatedAxis>(
     let best = explanations.iter().zip(&weights[1..]).max_by(|a, b| a.1.total_cmp(b.1));
     let unexplained = best.map_or(1.0, |(best, _)| {
         let by_share = unexplained(left(problem, calibrated, best));
-        let odds = odds_of_imitation(&problem.record.signals, &sensors(&best.fit.spec));
+        let odds = odds_by_sensors(problem, calibrated, &sensors(&best.fit.spec));
         odds * by_share / (odds * by_share + 1.0 - by_share)
     });
     let with_effects = (sum - weights[0]).max(f64::MIN_POSITIVE);

@@ -76,17 +76,19 @@ const BENT: (f64, f64) = (0.5, 3.0);
 
 /// How many times likelier it is that transducers are off by so much where the machine only imitates the cause than where it has it, at
 /// least 1. They fail one by one; a machine that imitates needs several off at once, by what no class allows.
-pub(crate) fn odds_of_imitation(signals: &[Signal], errors: &[Option<SensorError>]) -> f64 {
+///
+/// `told` has a share for each: how much of its odds counts.
+pub(crate) fn odds_of_imitation(signals: &[Signal], errors: &[Option<SensorError>], told: &[f64]) -> f64 {
     // Of a gain and a zero that are normal with that spread, in classes.
     let density = |off: f64, spread: f64| (-0.5 * (off / spread).powi(2)).exp() / (spread * spread);
     let mixed = |off: f64, (share, spread): (f64, f64)| {
         (1.0 - share) * density(off, 1.0) + share * density(off, spread)
     };
-    let odds = |(signal, error): (&Signal, &Option<SensorError>)| {
+    let odds = |((signal, error), told): ((&Signal, &Option<SensorError>), &f64)| {
         let off = deviations(*signal, (*error)?)?;
-        Some(mixed(off, BENT) / mixed(off, FAILED).max(f64::MIN_POSITIVE))
+        Some((mixed(off, BENT) / mixed(off, FAILED).max(f64::MIN_POSITIVE)).powf(*told))
     };
-    signals.iter().zip(errors).filter_map(odds).product::<f64>().max(1.0)
+    signals.iter().zip(errors).zip(told).filter_map(odds).product::<f64>().max(1.0)
 }
 
 /// What a signal's sensor may add to weighted differences: two shapes of length 1, and how much of each is taken off.
@@ -224,7 +226,7 @@ mod tests {
         let odds = |off: [f64; 4]| {
             let error = |off: f64| Some(SensorError { gain: 0.0, zero: off * PRESSURE.zero });
             let errors = [None, error(off[0]), error(off[1]), error(off[2]), error(off[3])];
-            odds_of_imitation(&signals, &errors)
+            odds_of_imitation(&signals, &errors, &[1.0; 5])
         };
         // Within their class, at its edge, and with one that has failed, by a little or altogether: no odds to speak of.
         assert_eq!(odds([0.5, 1.0, 0.2, 1.2]), 1.0);
@@ -235,7 +237,10 @@ mod tests {
         assert!(odds([0.1, 0.4, 3.9, 4.4]) > 300.0);
         assert!(odds([1.0, 1.5, 4.3, 5.6]) > 1000.0);
         // Where no transducer is recorded, none tells.
-        assert_eq!(odds_of_imitation(&signals[..1], &[None]), 1.0);
+        assert_eq!(odds_of_imitation(&signals[..1], &[None], &[1.0]), 1.0);
+        // Beside gaps that are much larger than what they are bent by.
+        let off = Some(SensorError { gain: 0.0, zero: 5.0 * PRESSURE.zero });
+        assert_eq!(odds_of_imitation(&signals[..3], &[None, off, off], &[0.0; 3]), 1.0);
     }
 
     #[test]
