@@ -369,7 +369,13 @@ impl<'r> Problem<'r> {
         sums.into_iter().map(|sum| sum / INDEPENDENT).collect()
     }
 
-    /// The same of what sensors that are off by so much add to what is shown; 0 for one without an error.
+    /// The same beyond what differs from cycle to cycle, 0 at least.
+    pub(crate) fn beyond_noise(&self, residual: &DVector<f64>) -> Vec<f64> {
+        let squares = self.by_signal(residual);
+        squares.iter().zip(&self.noise).map(|(square, noise)| (square - noise).max(0.0)).collect()
+    }
+
+    /// Mean square over expected error of what each signal's sensor adds to what is shown, if it is off by so much; 0 without an error.
     pub(crate) fn of_sensors(&self, errors: &[Option<SensorError>]) -> Vec<f64> {
         let of = |(signal, error): (usize, &Option<SensorError>)| {
             let Some(error) = error else { return 0.0 };
@@ -378,12 +384,6 @@ impl<'r> Problem<'r> {
             added.map(|added| (added * self.weights[signal]).powi(2)).sum::<f64>() / INDEPENDENT
         };
         errors.iter().enumerate().map(of).collect()
-    }
-
-    /// The same beyond what differs from cycle to cycle, 0 at least.
-    pub(crate) fn beyond_noise(&self, residual: &DVector<f64>) -> Vec<f64> {
-        let squares = self.by_signal(residual);
-        squares.iter().zip(&self.noise).map(|(square, noise)| (square - noise).max(0.0)).collect()
     }
 }
 

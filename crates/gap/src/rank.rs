@@ -8,8 +8,8 @@
 //!
 //! Scores are log-likelihoods of the differences' mean squares by signal, with heavy tails, since the right cause under a slightly
 //! different law leaves a small rest. How well the simulator describes the machine otherwise is not known beforehand: a machine that leaves
-//! less than a model's usual error shows that this one is better, and counts for it. Each free parameter of an effect costs half the logarithm of the number of independent values
-//! (Schwarz, Annals of Statistics 6 (1978)).
+//! less than a model's usual error shows that this one is better, and counts for it. Each free parameter of an effect costs half the
+//! logarithm of the number of independent values (Schwarz, Annals of Statistics 6 (1978)).
 
 use seepd_sim::SensorError;
 
@@ -31,11 +31,11 @@ const OWN_ERROR: f64 = 0.3;
 const EVIDENT: f64 = 1.2;
 /// Share that the best machine leaves at which "none of these" is as likely as not, and the width of the change.
 const HALF_EXPLAINED: (f64, f64) = (0.47, 0.06);
+/// What a further effect of a machine adds to that share: two effects imitate more than one.
+const SHARE_OF_ANOTHER: f64 = 0.03;
 /// What a sensor's error takes, as a share of what calibration leaves of its signal, from which on it tells of an imitation, and from which
 /// on it does so in full.
 const BENT_SHARE: (f64, f64) = (0.3, 0.6);
-/// What a further effect of a machine adds to that share: two effects imitate more than one.
-const SHARE_OF_ANOTHER: f64 = 0.03;
 
 /// Probabilities that sum to 1.
 #[derive(Debug, Clone, PartialEq)]
@@ -66,14 +66,14 @@ pub(crate) fn rather_imitates<A>(
 /// size, in which a real machine's many small rests do not outweigh what was explained. Shares of next to nothing say nothing.
 fn left<A>(problem: &Problem<'_>, calibrated: &Fit<A>, explanation: &Explanation<A>) -> f64 {
     let size = |fit: &Fit<A>| problem.beyond_noise(&fit.residual).iter().sum::<f64>().sqrt();
-    let gap = beyond_noise(problem, calibrated);
-    let of_evidence = beyond_noise(problem, &explanation.fit) / gap.max(0.1 * EVIDENT);
+    let gap = evidence_of_gap(problem, calibrated);
+    let of_evidence = evidence_of_gap(problem, &explanation.fit) / gap.max(0.1 * EVIDENT);
     let of_size = if of_evidence > 0.0 { size(&explanation.fit) / size(calibrated) } else { 0.0 };
     0.5 * (of_evidence + of_size) + SHARE_OF_ANOTHER * (explanation.effects.len() - 1) as f64
 }
 
 /// Evidence of a gap beyond what differs from cycle to cycle.
-fn beyond_noise<A>(problem: &Problem<'_>, fit: &Fit<A>) -> f64 {
+fn evidence_of_gap<A>(problem: &Problem<'_>, fit: &Fit<A>) -> f64 {
     (evidence(&problem.by_signal(&fit.residual)) - evidence(&problem.noise)).max(0.0)
 }
 
@@ -119,7 +119,7 @@ pub(crate) fn rank<A: SimulatedAxis>(
     let weights: Vec<f64> = logs.iter().map(|log| (log - highest).exp()).collect();
     let sum: f64 = weights.iter().sum();
 
-    let none = weights[0] / sum / (1.0 + (beyond_noise(problem, calibrated) / EVIDENT).powi(4));
+    let none = weights[0] / sum / (1.0 + (evidence_of_gap(problem, calibrated) / EVIDENT).powi(4));
     let best = explanations.iter().zip(&weights[1..]).max_by(|a, b| a.1.total_cmp(b.1));
     let unexplained = best.map_or(1.0, |(best, _)| {
         let by_share = unexplained(left(problem, calibrated, best));
