@@ -15,7 +15,7 @@ use crate::learn::{LearnedMachine, learn};
 use crate::next_test::{Candidate as NextTestCandidate, NextTest, next_test};
 use crate::places::{phase_spans, places};
 use crate::quantisation::is_of_steps;
-use crate::rank::{Ranking, rank};
+use crate::rank::{PRIOR_NONE, Ranking, rank};
 use crate::record::{BINS, ENOUGH_CYCLES, Record, binned};
 use crate::report::{
     CalibratedValue, ChangeWithin, Curves, CycleCounts, Diagnosis, Gaps, Leaks, LearnedCurve, Place,
@@ -248,7 +248,7 @@ pub(crate) fn split(record: &Record) -> (Vec<usize>, Vec<usize>) {
     if held_out.is_empty() { (fitted.clone(), fitted) } else { (fitted, held_out) }
 }
 
-/// The answer to a log that says nothing, with the reason.
+/// The answer to a log that says nothing, with the reason. Probabilities are those from before any log.
 pub fn cannot_tell(reason: String) -> Diagnosis {
     Diagnosis {
         schema: "seepd.gap/1",
@@ -263,8 +263,8 @@ pub fn cannot_tell(reason: String) -> Diagnosis {
         effects: Vec::new(),
         learned: Vec::new(),
         next_test: None,
-        unknown_probability: 0.0,
-        no_effect_probability: 1.0,
+        unknown_probability: 1.0 - PRIOR_NONE,
+        no_effect_probability: PRIOR_NONE,
         chosen: Vec::new(),
         shrink: Shrink {
             of_removable: 0.0,

@@ -19,7 +19,7 @@ use crate::simulated_axis::SimulatedAxis;
 use crate::transducers::odds_of_imitation;
 
 /// Prior probability of no effect.
-const PRIOR_NONE: f64 = 0.45;
+pub(crate) const PRIOR_NONE: f64 = 0.45;
 /// Prior probability that there is another effect beside one.
 const PRIOR_ANOTHER: f64 = 0.3;
 /// Share of the score that is believed: the scores' own errors are of the order of the scores.
