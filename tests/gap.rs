@@ -163,7 +163,10 @@ fn reason(log: &Path) -> String {
     assert_consistent(&found);
     assert_eq!(found["verdict"], "cannot_tell", "{found}");
     let told = |key: &str| found[key].as_f64().unwrap();
-    assert!(told("no_effect_probability") < 0.5, "a log that was not compared says nothing of health: {found}");
+    assert!(
+        told("no_effect_probability") < 0.5,
+        "a log that was not compared says nothing of health: {found}"
+    );
     assert!((told("no_effect_probability") + told("unknown_probability") - 1.0).abs() < 1e-12, "{found}");
     found["reason"].as_str().unwrap().to_owned()
 }

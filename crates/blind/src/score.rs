@@ -27,6 +27,9 @@ pub struct Answer {
 struct Named {
     effect: String,
     probability: f64,
+    /// Of methods that name one cause a machine it is the same.
+    #[serde(default)]
+    presence_probability: Option<f64>,
     equivalent: Vec<String>,
 }
 
@@ -257,6 +260,12 @@ impl Answer {
     }
 }
 
+impl Named {
+    fn presence(&self) -> f64 {
+        self.presence_probability.unwrap_or(self.probability)
+    }
+}
+
 /// The most likely explanation.
 enum Explanation<'a> {
     Effect(&'a str),
@@ -290,7 +299,7 @@ impl Answered {
         let of_class = |named: &Named| {
             let same =
                 |other: &&Named| other.effect == named.effect || named.equivalent.contains(&other.effect);
-            answer.effects.iter().filter(same).map(|other| other.probability).sum::<f64>()
+            answer.effects.iter().filter(same).map(Named::presence).sum::<f64>()
         };
         let effect = answer.effects.first().map_or(0.0, of_class);
         let (unknown, none) = (answer.unknown_probability, answer.no_effect_probability);
@@ -346,7 +355,7 @@ impl Answered {
             .effects
             .iter()
             .take(3)
-            .map(|named| format!("{} {:.2}", named.effect, named.probability))
+            .map(|named| format!("{} {:.2}", named.effect, named.presence()))
             .collect();
         format!(
             "{}: {planted} ({:?}{}{}); answered {}: {}, unknown {:.2}, none {:.2}",

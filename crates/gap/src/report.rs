@@ -151,8 +151,10 @@ pub struct RankedEffect {
     pub effect: &'static str,
     /// Its law.
     pub law: &'static str,
-    /// Probability.
+    /// Probability that it is the main cause; with those of no effect and of a cause that the catalogue lacks, these sum to 1.
     pub probability: f64,
+    /// Probability that the machine has it, alone or beside others.
+    pub presence_probability: f64,
     /// Values.
     pub parameters: BTreeMap<&'static str, f64>,
     /// Their 95 % intervals.

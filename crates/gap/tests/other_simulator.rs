@@ -5,7 +5,7 @@
 use seepd_blind::Press;
 use seepd_blind::foreign::Foreign;
 use seepd_blind::press::Variation;
-use seepd_gap::report::{Diagnosis, Verdict};
+use seepd_gap::report::{Diagnosis, RankedEffect, Verdict};
 use seepd_gap::{DiagnosisSettings, Log, Mismatch, Record, RecordError, diagnose};
 use seepd_signals::Signal;
 use seepd_sim::noise::Noise;
@@ -184,6 +184,13 @@ fn a_small_effect_beside_a_large_one_is_found() {
     press.other_law = false;
     let found = diagnosed(&log(&press));
     assert_eq!(found.chosen, ["load_bias", "structure_compliance"]);
+    let of = |probability: fn(&RankedEffect) -> f64| {
+        found.effects[..2].iter().map(probability).collect::<Vec<_>>()
+    };
+    let there = of(|effect| effect.presence_probability);
+    assert!(there.iter().all(|probability| *probability > 0.9), "each of the two is there: {there:?}");
+    let main = of(|effect| effect.probability);
+    assert!(main[0] > 0.75 && main[1] > 0.1 && main[0] + main[1] <= 1.0, "one is the main cause: {main:?}");
     assert!(found.shrink.of_removable > 0.99, "{:?}", found.shrink);
 }
 

@@ -88,14 +88,18 @@ fn places(diagnosis: &Diagnosis) -> String {
 /// What may have caused it, with probabilities.
 fn explanations(diagnosis: &Diagnosis) -> String {
     let mut text = String::from("\nwhy:\n");
-    for finding in diagnosis.effects.iter().filter(|finding| finding.probability >= 0.01) {
+    for finding in diagnosis.effects.iter().filter(|finding| finding.presence_probability >= 0.01) {
         let value_of = |(name, value): (&&'static str, &f64)| {
             let [low, high] = finding.interval95.get(name).copied().unwrap_or([f64::NAN; 2]);
             format!("{name} {} ({} … {})", number(*value), number(low), number(high))
         };
         let values: Vec<String> = finding.parameters.iter().map(value_of).collect();
-        text +=
-            &format!("  {:>6}  {}: {}\n", percent(finding.probability, 1), finding.effect, values.join(", "));
+        text += &format!(
+            "  {:>6}  {}: {}\n",
+            percent(finding.presence_probability, 1),
+            finding.effect,
+            values.join(", ")
+        );
         if !finding.equivalent.is_empty() {
             text +=
                 &format!("          cannot be told apart in this log: {}\n", finding.equivalent.join(", "));

@@ -115,7 +115,7 @@ impl GapPage<'_> {
 
     fn ranking(&self) -> Markup {
         let found = self.diagnosis;
-        let named = |finding: &&RankedEffect| finding.probability >= 0.005;
+        let named = |finding: &&RankedEffect| finding.presence_probability >= 0.005;
         html! { table.bars {
             thead { tr { th { "Cause" } th.number { "probability" } th {} th { "values (95 %)" } th.number { "removes" } } }
             tbody {
@@ -123,8 +123,8 @@ impl GapPage<'_> {
                     td { (finding.effect)
                         br; span.soft { (finding.law) }
                         @if !finding.equivalent.is_empty() { br; span.soft { "cannot be told apart in this log: " (finding.equivalent.join(", ")) } } }
-                    td.number { (percent(finding.probability, 1)) }
-                    td.narrow { (bar(finding.probability, "var(--a)")) }
+                    td.number { (percent(finding.presence_probability, 1)) }
+                    td.narrow { (bar(finding.presence_probability, "var(--a)")) }
                     td { @for (name, value) in &finding.parameters { (name) " " (number(*value))
                         @if let Some([low, high]) = finding.interval95.get(name) { " (" (number(*low)) " … " (number(*high)) ")" } br; } }
                     td.number { (percent(finding.shrink, 1)) }
