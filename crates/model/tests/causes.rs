@@ -100,6 +100,22 @@ fn a_change_that_no_cell_has_is_unknown() {
     assert!(given.distance > 4.0);
 }
 
+/// A shift of the null by 0.01, and a fourth number that no cell moves: 0.0009 leave 0.8e-6 of 2e-4 squared, a 250th, and 0.004 a fourteenth.
+#[test]
+fn a_change_that_a_cause_takes_next_to_all_of_is_known_where_the_plant_may_be_wrong() {
+    let told = |sizes_leaks, [null, unknown]: [f64; 2]| {
+        let causes =
+            Causes::from_file(CausesFile { sizes_leaks, ..file() }).expect("a file that is in order");
+        let given = causes.explain(&Change { numbers: &[-null, -null, 0.0, unknown], noise: 1e-4 });
+        assert!(given.distance > 4.0, "{}", given.distance);
+        given.verdict
+    };
+    let mostly_known = [0.01, 9e-4];
+    assert_eq!(told(false, mostly_known), ChangeVerdict::Unknown);
+    assert_eq!(told(true, mostly_known), ChangeVerdict::Named(Cause::ValveNull, None));
+    assert_eq!(told(true, [0.01, 4e-3]), ChangeVerdict::Unknown);
+}
+
 #[test]
 fn repeatability_is_told_as_noise_and_a_jump_as_a_distance() {
     let causes = Causes::from_file(file()).expect("a file that is in order");
