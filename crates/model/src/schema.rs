@@ -382,7 +382,8 @@ fn is_usual_alike_from(value: &f64) -> bool {
 pub struct CellFile {
     /// The cause.
     pub kind: Kind,
-    /// Of a leak: whether it follows laws that the model's estimates have not learned.
+    /// Of a leak: whether it follows laws other than an orifice's, where the model's estimates have not learned them, or its plant is not known
+    /// well enough to tell them.
     #[serde(default, skip_serializing_if = "core::ops::Not::not")]
     pub other_law: bool,
     /// Of another cause: whether it is one class with a leak whatever the responses say.

@@ -192,7 +192,7 @@ struct Cell {
     is_seal: bool,
     /// Whether it is a cause that this machine's command does not tell from a leak.
     is_alike: bool,
-    /// Whether it is a leak under laws that the model's estimates have not learned.
+    /// Whether it is a leak under laws other than an orifice's that the model's estimates have not learned, or its plant does not tell.
     has_other_law: bool,
     size: f64,
     rest: f64,

@@ -50,7 +50,7 @@ pub enum ChangeVerdict {
     Unknown,
 }
 
-/// What a leak is where it follows a law that the model's estimates have not learned.
+/// What a leak is where it follows a law other than an orifice's that the model's estimates have not learned, or its plant does not tell.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct OtherLaw {
     /// Probability that it does, given that the seal has changed.
@@ -74,7 +74,7 @@ pub struct Explanation {
     pub probability: f64,
     /// Squared distance of the nearest hypothesis over the number of coordinates.
     pub distance: f64,
-    /// The leak under laws that the model's estimates have not learned.
+    /// The leak under laws other than an orifice's that the model's estimates have not learned, or its plant does not tell.
     pub leak_of_other_law: OtherLaw,
     /// The cause other than the seal in the most likely explanation, and whether the seal is in it too.
     pub other: Option<(Kind, bool)>,

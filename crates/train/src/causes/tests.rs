@@ -14,6 +14,10 @@ static MODEL: LazyLock<Model> = LazyLock::new(|| {
 });
 
 fn with_simulator(test: impl FnOnce(&CauseSimulator<'_>)) {
+    with_settings(&TrainingSettings::default(), test);
+}
+
+fn with_settings(settings: &TrainingSettings, test: impl FnOnce(&CauseSimulator<'_>)) {
     let phases = MODEL.file().cycle.phase_list();
     let reading = Reading {
         cycle: &MODEL.file().cycle,
@@ -21,8 +25,8 @@ fn with_simulator(test: impl FnOnce(&CauseSimulator<'_>)) {
         sample_rate_hz: MODEL.file().sample_rate_hz,
         projections: Projections::NONE,
     };
-    let (spec, settings) = (MachineSpec::default(), TrainingSettings::default());
-    test(&CauseSimulator { spec: &spec, settings: &settings, reading: &reading });
+    let spec = MachineSpec::default();
+    test(&CauseSimulator { spec: &spec, settings, reading: &reading });
 }
 
 /// The spool is where it was only if the command is off by as much the other way, in every sample and on every machine.
@@ -72,4 +76,36 @@ fn curves_cover_their_sizes() {
             assert!(!is_relative || end.is_some_and(|end| end.abs() <= 3.0), "{:?}", curve.kind);
         }
     });
+}
+
+/// Leaks of an orifice and of another law, each along a direction of its own: cells of the other law are marked where it is not for the holds
+/// of a plant that a log was calibrated to to tell the law.
+#[test]
+fn another_law_of_a_leak_is_marked_unless_the_plant_was_fitted() {
+    let n = 2 * MODEL.file().cycle.phase_list().len();
+    let identity: Vec<f64> = (0..n * n).map(|at| f64::from(u8::from(at % (n + 1) == 0))).collect();
+    let basis = Basis { rows: identity.clone(), inverse: identity, ordinary: vec![0.0; n] };
+    let response = |law: usize, machine: usize| {
+        let size = 1e-7 * (2 + machine) as f64;
+        let numbers = (0..n).map(|number| if number == law { 1e5 * size } else { 0.0 }).collect();
+        Response { size, numbers }
+    };
+    let told = |settings: TrainingSettings| -> Vec<bool> {
+        let mut marked = Vec::new();
+        with_settings(&settings, |simulator| {
+            let mut seals = curves::all(simulator.spec, false);
+            seals.retain(|curve| curve.kind.cause == Cause::PistonSeal && curve.force == HoldForce::AsDrawn);
+            assert_eq!(seals.iter().map(|curve| curve.other_law).collect::<Vec<_>>(), [false, true]);
+            let of_each = || (0..2).map(|law| (law, (0..4).map(|machine| response(law, machine)).collect()));
+            let responses = Responses { learned: of_each().collect(), held_out: of_each().collect() };
+            let file = learn_from(simulator, &seals, &basis, &responses).unwrap();
+            marked = file.cells.iter().filter(|cell| cell.size > 0.0).map(|cell| cell.other_law).collect();
+        });
+        marked
+    };
+    let conditions = Conditions { unknown_seal: true, response_error: 0.05, ..Conditions::default() };
+    let unfitted = TrainingSettings { cause_machines: 4, conditions, ..TrainingSettings::default() };
+    assert_eq!(told(unfitted.clone()), [false, true]);
+    assert_eq!(told(TrainingSettings { fitted: true, ..unfitted }), [false, false]);
+    assert_eq!(told(TrainingSettings { cause_machines: 4, ..TrainingSettings::default() }), [false, true]);
 }
