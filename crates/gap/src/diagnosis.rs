@@ -63,8 +63,8 @@ const BORNE_OUT: f64 = 0.9;
 const LIKELY_AT_ALL: f64 = 0.1;
 /// Probability from which a machine is given what the log itself shows.
 const WORTH_A_COMPANION: f64 = 0.05;
-/// How many times less likely the main cause of a machine with several effects is the one that was found later: of 28 machines of a blind
-/// run the one that was found first took the most of the gap on 24.
+/// How many times less likely the main cause of a machine with several effects is the one that stands later: of 28 machines of a blind run
+/// the one that was found first took the most of the gap on 24.
 const MAIN_LATER: f64 = 1.0 / 6.0;
 /// Signature, in expected errors, below which an effect cannot be seen.
 const VISIBLE: f64 = 2.0;
@@ -164,8 +164,13 @@ fn diagnose_unchanged<A: SimulatedAxis>(
     let held_out = HeldOut { record, cycles: &held_out };
     borne_out(&held_out, &mut found.explanations);
     tell(3);
-    let ranked = RankedExplanations::new(&problem, &held_out, found);
+    let mut ranked = RankedExplanations::new(&problem, &held_out, found);
     let (verdict, reason) = verdict(&problem, record, &nominal, &ranked);
+    let parts = if verdict == Verdict::Effect {
+        ranked.put_the_main_cause_first(&problem, &held_out, &nominal.spec, settings.iterations)
+    } else {
+        Vec::new()
+    };
     let learned = if verdict == Verdict::Unknown { learn(&problem, &ranked.calibrated) } else { Vec::new() };
     let told = DiagnosisInputs {
         record,
@@ -173,6 +178,7 @@ fn diagnose_unchanged<A: SimulatedAxis>(
         problem: &problem,
         nominal: &nominal,
         ranked: &ranked,
+        parts: &parts,
         held_out: &held_out,
         learned: &learned,
         adopted: adopted(&held_out, &ranked.calibrated, &learned),
@@ -333,6 +339,30 @@ impl<A: SimulatedAxis> RankedExplanations<A> {
         }
     }
 
+    /// What each effect of the most likely machine takes of the gap, the largest part first. Its effects stand in that order from then on: the
+    /// one that was found first may have stood for another.
+    fn put_the_main_cause_first(
+        &mut self,
+        problem: &Problem<'_>,
+        held_out: &HeldOut<'_>,
+        nominal: &A,
+        iterations: usize,
+    ) -> Vec<(&'static str, f64)> {
+        let Some((best, _)) = self.explanations.first() else { return Vec::new() };
+        let best = best.clone();
+        let machines = [nominal.clone(), self.calibrated.spec.clone(), best.fit.spec.clone()];
+        let gaps = held_out.gaps(&machines);
+        let shrink = |now: &[f64]| held_out.shrink(&gaps[0], now, true);
+        let ends = (shrink(&gaps[1]), shrink(&gaps[2]));
+        let parts = attributed(problem, held_out, &gaps[0], ends, &self.calibrated, &best, iterations);
+        let mut effects: Vec<(&'static EffectInfo, f64)> = best.effects.iter().copied().zip(parts).collect();
+        effects.sort_by(|a, b| b.1.total_cmp(&a.1));
+        for (one, _) in self.explanations.iter_mut().filter(|(one, _)| one.has_the_effects_of(&best)) {
+            one.effects = effects.iter().map(|(effect, _)| *effect).collect();
+        }
+        effects.into_iter().map(|(effect, part)| (effect.key, part)).collect()
+    }
+
     /// Probability that each effect is the main cause, most likely first.
     fn effects(&self) -> Vec<(&'static EffectInfo, f64)> {
         let mut effects: Vec<(&'static EffectInfo, f64)> = Vec::new();
@@ -481,6 +511,8 @@ struct DiagnosisInputs<'a, A> {
     problem: &'a Problem<'a>,
     nominal: &'a Fit<A>,
     ranked: &'a RankedExplanations<A>,
+    /// What each chosen effect takes of the gap, the largest part first.
+    parts: &'a [(&'static str, f64)],
     held_out: &'a HeldOut<'a>,
     learned: &'a [LearnedMachine<A>],
     /// The learned law that the machine is given.
@@ -578,16 +610,6 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
         let told = |values: &[f64]| -> BTreeMap<&'static str, f64> {
             record.signals.iter().map(|signal| signal.name()).zip(values.iter().copied()).collect()
         };
-        let effects_chosen = match ranked.explanations.first() {
-            Some((best, _)) if verdict == Verdict::Effect => {
-                let ends = (shrink(&gaps[1], true), shrink(&gaps[2], true));
-                let (problem, held_out) = (self.problem, self.held_out);
-                let parts =
-                    attributed(problem, held_out, &gaps[0], ends, calibrated, best, settings.iterations);
-                best.effects.iter().map(|effect| effect.key).zip(parts).collect()
-            }
-            _ => Vec::new(),
-        };
         Diagnosis {
             schema: "seepd.gap/1",
             cycles: CycleCounts {
@@ -604,12 +626,12 @@ impl<A: SimulatedAxis> DiagnosisInputs<'_, A> {
             seconds: 0.0,
             unknown_probability: ranked.unknown,
             no_effect_probability: ranked.none,
-            chosen: effects_chosen.iter().map(|(key, _)| *key).collect(),
+            chosen: self.parts.iter().map(|(key, _)| *key).collect(),
             shrink: Shrink {
                 of_removable: shrink(&gaps[2], true),
                 of_total: shrink(&gaps[2], false),
                 calibration_only: shrink(&gaps[1], true),
-                by_effect: effects_chosen.into_iter().collect(),
+                by_effect: self.parts.iter().copied().collect(),
             },
             calibrated: self.calibrated_values(),
             leak: Leaks {
