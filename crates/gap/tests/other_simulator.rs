@@ -114,6 +114,21 @@ fn a_spring_that_hardens_is_a_spring() {
     assert!(found.shrink.of_removable > 0.97, "{:?}", found.shrink);
 }
 
+/// Of a friction that sticks and a dead band the dead band is found first, and takes a twelfth of what the friction takes.
+#[test]
+fn the_effect_that_takes_the_most_is_the_main_cause() {
+    let friction: &[_] = &[
+        ("force_n", 2753.0),
+        ("static_force_n", 4145.0),
+        ("stribeck_speed_m_per_s", 0.0459),
+        ("creep_speed_m_per_s", 0.002588),
+    ];
+    let deadband: &[_] = &[("half_width", 0.09092), ("rounding", 0.0)];
+    let found = diagnosed(&log(&press(&[("stribeck_friction", friction), ("valve_deadband", deadband)])));
+    assert!(found.chosen.contains(&"valve_deadband"), "{:?}", found.chosen);
+    assert_eq!((found.chosen[0], found.effects[0].effect), ("stribeck_friction", "stribeck_friction"));
+}
+
 /// The planter's flow curve is a parabola, steep at its beginning, ours a power of the way on the notch.
 #[test]
 fn a_flow_curve_that_is_a_parabola_is_a_bent_flow_curve() {
