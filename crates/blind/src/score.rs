@@ -27,8 +27,7 @@ pub struct Answer {
 struct Named {
     effect: String,
     probability: f64,
-    /// Of methods that name one cause a machine it is the same.
-    #[serde(default)]
+    /// Of methods that name one cause a machine it is the same, and absent.
     presence_probability: Option<f64>,
     equivalent: Vec<String>,
 }

@@ -78,8 +78,8 @@ fn curves_cover_their_sizes() {
     });
 }
 
-/// Leaks of an orifice and of another law, each along a direction of its own: cells of the other law are marked where it is not for the holds
-/// of a plant that a log was calibrated to to tell the law.
+/// Leaks of an orifice and of another law, each along a direction of its own: the other law's cells are marked, but on a plant that a log was
+/// calibrated to, whose holds tell the law.
 #[test]
 fn another_law_of_a_leak_is_marked_unless_the_plant_was_fitted() {
     let n = 2 * MODEL.file().cycle.phase_list().len();
