@@ -757,7 +757,10 @@ impl Adoption {
     /// How far training is to vary each parameter by itself: what is not known of it, or the least where [`Adoption::together`] has the
     /// rest.
     pub fn tolerances(&self) -> BTreeMap<String, f64> {
-        let is_together = |key: &str| self.together.iter().any(|direction| direction.plant.contains_key(key));
+        let is_in = |direction: &Direction, key: &str| {
+            direction.plant.contains_key(key) || direction.plant_by_addition.contains_key(key)
+        };
+        let is_together = |key: &str| self.together.iter().any(|direction| is_in(direction, key));
         let tolerance = |key: &str, value: &PlantValue| {
             if is_together(key) { LEAST_TOLERANCE } else { value.tolerance.min(LARGEST_TOLERANCE) }
         };

@@ -53,10 +53,9 @@ impl Posterior {
                 (Target::Plant(plant), Scale::Logarithmic) => {
                     direction.plant.insert(plant.key.to_string(), *change);
                 }
-                (Target::Plant(plant), Scale::Linear(unit)) if *value > 0.0 => {
-                    direction.plant.insert(plant.key.to_string(), change * unit / value);
+                (Target::Plant(plant), Scale::Linear(unit)) => {
+                    direction.plant_by_addition.insert(plant.key.to_string(), change * unit);
                 }
-                (Target::Plant(_), Scale::Linear(_)) => {}
                 (Target::Effect(effect, index), scale) => {
                     let change = match scale {
                         Scale::Linear(unit) => change * unit,
@@ -68,5 +67,33 @@ impl Posterior {
             }
         }
         direction
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use seepd_sim::MachineSpec;
+    use seepd_sim::noise::Noise;
+    use seepd_sim::series::{self, Tolerances};
+
+    use super::*;
+    use crate::fit::free_parameters;
+
+    /// Of a return pressure of 0.2 bar that is known to 2 bar, shares would make machines of a millibar and of hundreds of bar.
+    #[test]
+    fn a_return_pressure_near_zero_moves_by_addition() {
+        let mut spec = MachineSpec::default();
+        spec.plant.return_pressure_pa = 2e4;
+        let mut free = free_parameters(&spec);
+        free.retain(|free| free.key() == "return_pressure_pa");
+        let nothing_told = Posterior { free, values: vec![2e4], information: DMatrix::zeros(1, 1) };
+        let together = nothing_told.directions(1.0, 1.0);
+        let tolerances = Tolerances { together, ..Tolerances::even(0.0) };
+        let mut noise = Noise::new(1, 1);
+        let drawn: Vec<f64> =
+            (0..500).map(|_| series::vary(&spec, &tolerances, &mut noise).plant.return_pressure_pa).collect();
+        let largest = 2e4 + 3f64.sqrt() * 2e5;
+        assert!(drawn.iter().all(|pressure_pa| (0.0..=largest).contains(pressure_pa)), "{drawn:?}");
+        assert!(drawn.iter().any(|pressure_pa| *pressure_pa > 0.9 * largest), "{drawn:?}");
     }
 }

@@ -48,6 +48,9 @@ pub struct Tolerances {
 pub struct Direction {
     /// Changes of the logarithms of plant parameters, by key.
     pub plant: BTreeMap<String, f64>,
+    /// Changes of plant parameters that may be zero, SI, by key: as a share of a return pressure of 0.2 bar, one of 2 bar would be without
+    /// bound. None goes below zero.
+    pub plant_by_addition: BTreeMap<String, f64>,
     /// Changes of effects' parameters, SI, by effect and parameter; an effect that a machine lacks stays away.
     pub effects: BTreeMap<String, BTreeMap<String, f64>>,
 }
@@ -82,6 +85,11 @@ fn move_along(spec: &mut MachineSpec, direction: &Direction, by: f64) {
     for (key, change) in &direction.plant {
         if let Some(value) = spec.plant.get_mut(key) {
             *value *= libm::exp(by * change);
+        }
+    }
+    for (key, change) in &direction.plant_by_addition {
+        if let Some(value) = spec.plant.get_mut(key) {
+            *value = (*value + by * change).max(0.0);
         }
     }
     for effect in effects::every() {
@@ -139,11 +147,12 @@ mod tests {
     use crate::machine::{Input, Machine};
 
     /// What goes together keeps its product: a valve that is larger by what the pressure's root is smaller. An effect stays in its range,
-    /// and one that the machine lacks stays away.
+    /// and one that the machine lacks stays away. What moves by addition stays within it and never goes below zero.
     #[test]
     fn directions_keep_what_a_fit_knows() {
         let mut spec = MachineSpec::default();
         spec.set_effect("coulomb_friction.force_n=100").unwrap();
+        spec.plant.return_pressure_pa = 2e4;
         let one = |key: &str, by: f64| BTreeMap::from([(key.to_owned(), by)]);
         let direction = Direction {
             plant: BTreeMap::from([
@@ -154,6 +163,7 @@ mod tests {
                 ("coulomb_friction".to_owned(), one("force_n", 400.0)),
                 ("valve_bias".to_owned(), one("offset", 0.1)),
             ]),
+            plant_by_addition: one("return_pressure_pa", 1e5),
         };
         let tolerances = Tolerances { together: vec![direction], ..Tolerances::even(0.0) };
         let mut noise = Noise::new(1, 1);
@@ -165,6 +175,8 @@ mod tests {
             assert!((product(machine) / product(&spec) - 1.0).abs() < 1e-12);
             assert!(machine.effects["coulomb_friction"]["force_n"] >= 0.0);
             assert!(!machine.effects.contains_key("valve_bias"));
+            let return_pressure_pa = machine.plant.return_pressure_pa;
+            assert!((0.0..=2e4 + UNIFORM * 1e5).contains(&return_pressure_pa), "{return_pressure_pa}");
             logarithms.push((machine.plant.valve_m3_per_s_sqrt_pa / spec.plant.valve_m3_per_s_sqrt_pa).ln());
         }
         let variance = logarithms.iter().map(|value| value * value).sum::<f64>() / 2000.0;
