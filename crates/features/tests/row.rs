@@ -182,3 +182,20 @@ fn a_missing_stroke_costs_its_cycle() {
         assert_eq!(found.rejected, [Reason::Incomplete], "{missing}");
     }
 }
+
+/// The cycle that follows at once is whole while the first one still waits for a better row: both are cycles, whichever matches better.
+#[test]
+fn cycles_that_follow_at_once_are_all_found() {
+    for uneven in [0.0, 0.01, -0.01] {
+        let mut command = vec![0.0; 50];
+        for number in 0..8 {
+            let shift = uneven * f64::from(number % 2);
+            command.extend(
+                cycle(&[], 0.0, None).iter().enumerate().map(|(k, value)| value + shift * (k as f64).sin()),
+            );
+        }
+        let found = read(&command);
+        assert_eq!(found.valid.len(), 8, "{uneven}: {found:?}");
+        assert!(found.rejected.is_empty(), "{uneven}: {found:?}");
+    }
+}

@@ -23,6 +23,13 @@ struct Begun {
     correlations: f64,
 }
 
+impl Begun {
+    /// Sample number of its latest stroke's end.
+    fn end(&self) -> f64 {
+        self.ends[MAX_ANCHORS - 1]
+    }
+}
+
 /// The rows that are under way.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Row {
@@ -30,6 +37,8 @@ pub(super) struct Row {
     begun: [[Option<Begun>; REMEMBERED]; MAX_ANCHORS],
     /// The best that has reached the last stroke.
     whole: Option<Begun>,
+    /// One that was whole when a later cycle's was: no better one can come for it.
+    settled: Option<Begun>,
     /// End of the last cycle's last stroke.
     last_end: Option<f64>,
 }
@@ -69,8 +78,17 @@ impl Row {
         row.correlations += new.correlation;
         if which + 1 < definition.anchors.as_slice().len() {
             self.remember(which, row);
-        } else if self.whole.is_none_or(|whole| row.correlations > whole.correlations) {
-            self.whole = Some(row);
+        } else {
+            self.complete(row);
+        }
+    }
+
+    /// Notes a row that has reached the last stroke: of the cycle that waits for a better one, or of the next.
+    fn complete(&mut self, row: Begun) {
+        match self.whole {
+            Some(whole) if row.ends[0] > whole.end() => self.settled = self.whole.replace(row),
+            Some(whole) if row.correlations <= whole.correlations => {}
+            _ => self.whole = Some(row),
         }
     }
 
@@ -81,11 +99,14 @@ impl Row {
 
     /// What is sure at sample `now`: a cycle that no better row has come for, or the loss of one whose row broke off.
     pub(super) fn confirmed(&mut self, definition: &CycleDefinition<'_>, now: i64) -> Option<SegmentEvent> {
+        if let Some(row) = self.settled.take() {
+            return Some(self.found(definition, &row));
+        }
         if let Some(row) = self.whole {
             // Where a cycle has just ended, the next one begins: it cannot be out of step with the strokes.
             let in_step = self.last_end.is_some_and(|end| row.ends[0] - end < definition.period_samples());
             let wait = if in_step { definition.confirm_samples() } else { definition.rival_samples() };
-            return if now as f64 - row.ends[MAX_ANCHORS - 1] < wait { None } else { self.flush(definition) };
+            return if now as f64 - row.end() < wait { None } else { self.flush(definition) };
         }
         self.broken_off(definition, now)
     }
@@ -93,12 +114,17 @@ impl Row {
     /// The whole row that was waiting for a better one is the best that there is.
     pub(super) fn flush(&mut self, definition: &CycleDefinition<'_>) -> Option<SegmentEvent> {
         let row = self.whole.take()?;
-        let end = row.ends[MAX_ANCHORS - 1];
+        Some(self.found(definition, &row))
+    }
+
+    /// The cycle of a row; what overlaps it is none.
+    fn found(&mut self, definition: &CycleDefinition<'_>, row: &Begun) -> SegmentEvent {
+        let end = row.end();
         self.last_end = Some(end);
         for slot in self.begun.as_flattened_mut() {
             *slot = slot.filter(|begun| begun.ends[0] > end);
         }
-        Some(SegmentEvent::Cycle(definition.span_of(row.ends)))
+        SegmentEvent::Cycle(definition.span_of(row.ends))
     }
 
     /// The longest of the rows that cannot go on any more, where it is no mere likeness of some strokes; all of those are forgotten.
