@@ -104,6 +104,23 @@ fn command_and_position_alone_do_for_a_dead_band() {
     assert!((half_width - 0.03).abs() < 1e-3, "{half_width}");
 }
 
+/// Two causes, each sure: terminal and page say why their probabilities come to more than 1.
+#[test]
+fn two_causes_are_told_as_acting_together() {
+    let folder = tempfile::tempdir().unwrap();
+    let (log, page) = (folder.path().join("a.mcap"), folder.path().join("gap.html"));
+    let planted = ["--with", "coulomb_friction.force_n=1200", "--with", "valve_deadband.half_width=0.03"];
+    simulate(&log, &[&["--cycles", "12"][..], &planted].concat());
+    let told = stdout(&seepd(["gap", text_of(&log), "--html", text_of(&page)]));
+    let line = "Causes may act together: each has the probability that it is there, whatever else is.";
+    assert!(told.contains(line), "{told}");
+    assert!(fs::read_to_string(&page).unwrap().contains(line), "{told}");
+    let one = folder.path().join("one.mcap");
+    simulate(&one, &[&["--cycles", "12"][..], &planted[..2]].concat());
+    let told = stdout(&seepd(["gap", text_of(&one)]));
+    assert!(!told.contains(line), "{told}");
+}
+
 /// The leak alone is found from a plant file without one, whatever the supply does beside it: on this machine, which a diagnosis once
 /// calibrated, the derivative by a leak of 0 leads nowhere.
 #[test]

@@ -64,6 +64,14 @@ pub struct Diagnosis {
     pub curves: Curves,
 }
 
+impl Diagnosis {
+    /// Whether two effects may be there at once, so that their presences come to more than 1 with the other answers.
+    pub fn has_causes_that_act_together(&self) -> bool {
+        let presences: f64 = self.effects.iter().map(|effect| effect.presence_probability).sum();
+        presences + self.unknown_probability + self.no_effect_probability > 1.005
+    }
+}
+
 /// Signals over a cycle, in bins, by place in [`Diagnosis::signals`].
 #[derive(Debug, Clone, Default)]
 pub struct Curves {

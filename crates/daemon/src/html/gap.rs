@@ -117,7 +117,7 @@ impl GapPage<'_> {
         let found = self.diagnosis;
         let named = |finding: &&RankedEffect| finding.presence_probability >= 0.005;
         html! { table.bars {
-            thead { tr { th { "Cause" } th.number { "probability" } th {} th { "values (95 %)" } th.number { "removes" } } }
+            thead { tr { th { "Cause" } th.number { "is there" } th {} th { "values (95 %)" } th.number { "removes" } } }
             tbody {
                 @for finding in found.effects.iter().filter(named) { tr {
                     td { (finding.effect)
@@ -133,6 +133,9 @@ impl GapPage<'_> {
                 tr { td { "no effect, only other parameters" } td.number { (percent(found.no_effect_probability, 1)) }
                     td { (bar(found.no_effect_probability, "var(--healthy)")) } td {} td {} }
             }
+        }
+        @if found.has_causes_that_act_together() {
+            p.soft { "Causes may act together: each has the probability that it is there, whatever else is." }
         } }
     }
 
