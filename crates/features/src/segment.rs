@@ -225,7 +225,7 @@ pub const MAX_TEMPLATE_BINS: usize = 128;
 pub const MAX_CYCLE_BINS: usize = 512;
 /// A sure match is confirmed after this time, in which a still better one may follow, share of the period.
 const CONFIRM_SHARE: f64 = 0.05;
-/// Of two matches closer than this the better one is the stroke; a match that is not sure waits that long.
+/// Of two matches closer than this the better one is the stroke, share of the period.
 const RIVAL_SHARE: f64 = 0.4;
 
 impl CycleDefinition<'_> {
@@ -237,7 +237,7 @@ impl CycleDefinition<'_> {
     /// Least length of the ring buffer that [`CycleState`](crate::CycleState) needs: a cycle, what the distance
     /// between the strokes may stretch, and the time until a stroke is confirmed.
     pub fn ring_samples(&self) -> usize {
-        let shares = 1.0 + 2.0 * self.tolerance + self.rival_share() + CONFIRM_SHARE;
+        let shares = 1.0 + 2.0 * self.tolerance + self.waiting_share() + CONFIRM_SHARE;
         let longest_s = shares * self.period_s + 2.0 * self.anchors.waits_s();
         (longest_s * self.sample_rate_hz) as usize + 2 * self.bin_samples
     }
@@ -282,12 +282,17 @@ impl CycleDefinition<'_> {
         self.tolerance * self.period_s * self.sample_rate_hz
     }
 
-    fn rival_share(&self) -> f64 {
-        if self.anchors.is_row() { row::RIVAL_SHARE } else { RIVAL_SHARE }
+    /// How long a match that is not sure waits for a better one, share of the period: as long as the stroke may still come.
+    fn waiting_share(&self) -> f64 {
+        if self.anchors.is_row() { row::WAITING_SHARE } else { RIVAL_SHARE.max(2.0 * self.tolerance) }
+    }
+
+    fn waiting_samples(&self) -> f64 {
+        self.waiting_share() * self.period_s * self.sample_rate_hz
     }
 
     fn rival_samples(&self) -> f64 {
-        self.rival_share() * self.period_s * self.sample_rate_hz
+        RIVAL_SHARE * self.period_s * self.sample_rate_hz
     }
 
     fn confirm_samples(&self) -> f64 {

@@ -57,7 +57,7 @@ impl Pair {
     pub(super) fn confirmed(&mut self, definition: &CycleDefinition<'_>, now: i64) -> Option<SegmentEvent> {
         let last = self.last?;
         let sure = last.correlation >= definition.anchors.last().sure_correlation;
-        let wait = if sure { definition.confirm_samples() } else { definition.rival_samples() };
+        let wait = if sure { definition.confirm_samples() } else { definition.waiting_samples() };
         if (now as f64 - last.end) < wait {
             return None;
         }

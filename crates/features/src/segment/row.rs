@@ -10,7 +10,7 @@ use super::{CycleDefinition, MAX_ANCHORS, Match, Orphan, SegmentEvent};
 const REMEMBERED: usize = 6;
 /// A row that is the first after a standstill or a gap waits that long for a better one that overlaps it, share of the period: one that
 /// begins with a later stroke of the same shape ends before the right one does.
-pub(super) const RIVAL_SHARE: f64 = 1.0;
+pub(super) const WAITING_SHARE: f64 = 1.0;
 /// Rows with fewer strokes than this share of a cycle's are no cycle that broke off.
 const TELLING_SHARE: f64 = 0.3;
 
@@ -105,7 +105,7 @@ impl Row {
         if let Some(row) = self.whole {
             // Where a cycle has just ended, the next one begins: it cannot be out of step with the strokes.
             let in_step = self.last_end.is_some_and(|end| row.ends[0] - end < definition.period_samples());
-            let wait = if in_step { definition.confirm_samples() } else { definition.rival_samples() };
+            let wait = if in_step { definition.confirm_samples() } else { definition.waiting_samples() };
             return if now as f64 - row.end() < wait { None } else { self.flush(definition) };
         }
         self.broken_off(definition, now)
