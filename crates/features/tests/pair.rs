@@ -1,7 +1,5 @@
 //! Cycles of two strokes whose holds end with an event, so that the strokes may lie nearly anywhere after one another.
 
-#![expect(clippy::unwrap_used, reason = "helpers of tests fail as tests do")]
-
 use std::f64::consts::PI;
 
 use seepd_features::segment::Projections;
