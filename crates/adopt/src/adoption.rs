@@ -145,18 +145,6 @@ pub enum AdoptionError {
         /// RMS difference over the command's range, %.
         percent: f64,
     },
-    /// Holds that only a dead band explains, of which nobody said how wide it is.
-    #[error(
-        "the command stands at {low_percent:.0} % in one hold and at {high_percent:.0} % in another, where a valve without overlap would move the \
-         piston, and the command alone does not tell how wide its dead band is: give `valve.overlap_percent` from the data sheet, or \
-         `controller.dead_band_compensation_percent`, or a log with the position; `overlap_percent = 0` if the lands do not overlap"
-    )]
-    UnknownOverlap {
-        /// Lowest mean command of a hold, %.
-        low_percent: f64,
-        /// Highest.
-        high_percent: f64,
-    },
     /// The plant that came out is none.
     #[error("no plant could be made of these data: {0}")]
     Plant(#[from] SpecError),
@@ -275,17 +263,6 @@ impl Adopter<'_> {
         let largest_n = spec.plant.cap_area_m2 * spec.plant.relief_pressure_pa;
         let load = load_corners(mean_of(Signal::Load).as_deref(), self.described.weight_n, largest_n, tick_s);
         let load_n = load_by_tick(&load, command.len(), tick_s);
-        let is_silent_on_overlap = !self.described.knows_overlap
-            && self.described.controller.dead_band_compensation_percent.is_none();
-        if position.is_none()
-            && is_silent_on_overlap
-            && let Some([low, high]) = overlap::shown_by_holds(self.found, &command, tick_s)
-        {
-            return Err(AdoptionError::UnknownOverlap {
-                low_percent: 100.0 * low,
-                high_percent: 100.0 * high,
-            });
-        }
         let gains = self.gains(&mut spec, &command, demand.as_deref(), position.as_deref());
         let (asked, origin) = match (demand, &position) {
             (Some(demand_m), _) => (Asked { demand_m, rest: None, shrunk: 1.0 }, DemandOrigin::Log),

@@ -10,9 +10,7 @@ use seepd_gap::Known;
 use seepd_sim::MachineSpec;
 use seepd_sim::series::Direction;
 
-use crate::duty_cycle::FoundCycle;
 use crate::machine_data::MachineData;
-use crate::strokes::mean;
 
 /// The law of the plant.
 pub(crate) const LAW: &str = "valve_overlap";
@@ -29,12 +27,6 @@ const STATED: (f64, f64) = (0.05, 0.007);
 const USUAL_ROUNDING: (f64, f64) = (0.006, 0.004);
 /// An overlap below this share of full command is the rounded edge of a valve that has none.
 const LEAST: f64 = 0.007;
-
-/// Holds of a valve without overlap stand on one side of its rest, by a leak and a pressing force; so far on both, share of full command, they
-/// stand within a dead band.
-const BESIDE_REST: f64 = 0.04;
-/// Part of a hold in its middle that tells where it stands.
-const MIDDLE: std::ops::Range<f64> = 0.25..0.75;
 
 /// What the valve leaks from its inlet into the rod port alone. The lands of a spool leak alike into both ports and out of them, which moves
 /// no piston: without an overlap what is left of one side is part of the null, behind one it would push the piston through every hold.
@@ -53,21 +45,6 @@ pub(crate) fn law(half_width: f64) -> BTreeMap<String, f64> {
     [(HALF_WIDTH, half_width), (ROUNDING, USUAL_ROUNDING.0)]
         .map(|(name, value)| (name.to_owned(), value))
         .into()
-}
-
-/// The lowest and the highest command at which the cycle's holds stand, where they show a dead band: in between, a valve without overlap would
-/// move the piston. The mean command of a cycle, by ticks.
-pub(crate) fn shown_by_holds(found: &FoundCycle, command: &[f64], tick_s: f64) -> Option<[f64; 2]> {
-    let tick = |at_s: f64| (at_s / tick_s).round().max(0.0) as usize;
-    let ends_s = found.strokes.iter().skip(1).map(|stroke| stroke.from_s).chain([found.period_s]);
-    let level = |(from_s, to_s): (f64, f64)| {
-        let at = |share: f64| tick(from_s + share * (to_s - from_s)).min(command.len());
-        let hold = command.get(at(MIDDLE.start)..at(MIDDLE.end))?;
-        (!hold.is_empty()).then(|| mean(hold))
-    };
-    let levels = found.strokes.iter().map(|stroke| stroke.to_s).zip(ends_s).filter_map(level);
-    let (low, high) = levels.fold((0.0f64, 0.0f64), |(low, high), level| (low.min(level), high.max(level)));
-    (low < found.rest - BESIDE_REST && high > found.rest + BESIDE_REST).then_some([low, high])
 }
 
 /// Gives a machine whose overlap is to be fitted edges as usual, where it has none yet.
@@ -133,8 +110,6 @@ pub(crate) fn leaking_otherwise(described: &MachineSpec, spec: &MachineSpec) -> 
 mod tests {
     use super::*;
     use crate::adoption::Adoption;
-    use crate::duty_cycle::{CycleStroke, Duration};
-    use crate::strokes::Guide;
     use crate::test_recordings::{adopted, press};
 
     const DATA: &str = "overlap_percent = 9\n[controller]\ndead_band_compensation_percent = 7.5\n";
@@ -149,44 +124,6 @@ mod tests {
         spec.plant.valve_rod_resistance_pa_s_per_m3 *= BALANCED;
         (spec.controller.ki, spec.controller.dead_band_compensation) = (0.0, 0.075);
         spec
-    }
-
-    /// Holds that stand within a dead band are on either side of rest; pressing, leaking ones on one, and a little.
-    #[test]
-    fn holds_on_both_sides_of_rest_show_a_dead_band() {
-        let stroke = |name: &str, from_s: f64, to_s: f64, way: f64| CycleStroke {
-            name: name.into(),
-            from_s,
-            to_s,
-            way,
-            hold_after: Duration { median_s: 4.0, least_s: 4.0, most_s: 4.0 },
-            open_loop: None,
-        };
-        let found = FoundCycle {
-            guide: Guide::Command,
-            period_s: 10.0,
-            period: Duration { median_s: 10.0, least_s: 10.0, most_s: 10.0 },
-            strokes: vec![stroke("extend", 0.0, 1.0, 0.1), stroke("retract", 5.0, 6.0, -0.1)],
-            cycles: Vec::new(),
-            left_out: 0,
-            rest: 0.01,
-        };
-        let shown = |after_out: f64, after_back: f64| {
-            let command: Vec<f64> = (0..1000)
-                .map(|tick| match f64::from(tick) * 0.01 {
-                    at_s if at_s < 1.0 => 0.4,
-                    at_s if at_s < 5.0 => after_out,
-                    at_s if at_s < 6.0 => -0.4,
-                    _ => after_back,
-                })
-                .collect();
-            shown_by_holds(&found, &command, 0.01)
-        };
-        let [low, high] = shown(0.09, -0.11).unwrap();
-        assert!((low + 0.11).abs() < 1e-9 && (high - 0.09).abs() < 1e-9, "{low} {high}");
-        for (after_out, after_back) in [(0.3, 0.02), (0.02, -0.3), (0.04, -0.11), (-0.11, -0.09)] {
-            assert_eq!(shown(after_out, after_back), None, "{after_out} {after_back}");
-        }
     }
 
     fn is_told_to_leak_otherwise(adoption: &Adoption) -> bool {
