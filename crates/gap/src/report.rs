@@ -65,10 +65,13 @@ pub struct Diagnosis {
 }
 
 impl Diagnosis {
-    /// Whether two effects may be there at once, so that their presences come to more than 1 with the other answers.
-    pub fn has_causes_that_act_together(&self) -> bool {
+    /// What to say below the answers where two effects may be there at once, so that their presences come to more than 1 with the others.
+    pub fn note_on_presences(&self) -> Option<&'static str> {
         let presences: f64 = self.effects.iter().map(|effect| effect.presence_probability).sum();
-        presences + self.unknown_probability + self.no_effect_probability > 1.005
+        let is_shared = presences + self.unknown_probability + self.no_effect_probability > 1.005;
+        is_shared.then_some(
+            "Causes may act together: each has the probability that it is there, whatever else is.",
+        )
     }
 }
 

@@ -108,8 +108,8 @@ fn explanations(diagnosis: &Diagnosis) -> String {
     text += &format!("  {:>6}  none of these\n", percent(diagnosis.unknown_probability, 1));
     text +=
         &format!("  {:>6}  no effect, only other parameters\n", percent(diagnosis.no_effect_probability, 1));
-    if diagnosis.has_causes_that_act_together() {
-        text += "          Causes may act together: each has the probability that it is there, whatever else is.\n";
+    if let Some(note) = diagnosis.note_on_presences() {
+        text += &format!("          {note}\n");
     }
     text
 }

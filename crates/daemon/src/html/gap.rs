@@ -134,9 +134,7 @@ impl GapPage<'_> {
                     td { (bar(found.no_effect_probability, "var(--healthy)")) } td {} td {} }
             }
         }
-        @if found.has_causes_that_act_together() {
-            p.soft { "Causes may act together: each has the probability that it is there, whatever else is." }
-        } }
+        @if let Some(note) = found.note_on_presences() { p.soft { (note) } } }
     }
 
     fn places(&self) -> Markup {
