@@ -244,7 +244,10 @@ fn the_exported_press_gives_the_native_verdicts() {
 fn a_missing_library_is_told_in_a_line() {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("seepd");
-    fs::copy(env!("CARGO_BIN_EXE_seepd"), &program).unwrap();
+    // A process of its own writes the copy. Had this one open it for writing, a program that another
+    // test starts at that moment would inherit it open, and Linux starts no file that somebody writes.
+    let copied = Command::new("cp").arg(env!("CARGO_BIN_EXE_seepd")).arg(&program).status().unwrap();
+    assert!(copied.success());
     let out = folder.path().join("press.fmu");
     let run = |arguments: &[&str]| {
         Command::new(&program)
