@@ -55,10 +55,13 @@ fn template(index: usize) -> Vec<f32> {
     let planned = cycle(&[], 0.0, None);
     let from = ((end_s(index) - STROKE_S - SHOULDER_S) * RATE_HZ).round() as usize;
     let to = ((end_s(index) + SHOULDER_S) * RATE_HZ).round() as usize;
-    let bins: Vec<f64> = planned[from..to]
-        .chunks_exact(BIN_SAMPLES)
-        .map(|bin| bin.iter().sum::<f64>() / bin.len() as f64)
-        .collect();
+    normalized(&planned[from..to])
+}
+
+/// A stroke's template: its bins, without their mean, of length 1.
+fn normalized(samples: &[f64]) -> Vec<f32> {
+    let bins: Vec<f64> =
+        samples.chunks_exact(BIN_SAMPLES).map(|bin| bin.iter().sum::<f64>() / bin.len() as f64).collect();
     let mean = bins.iter().sum::<f64>() / bins.len() as f64;
     let norm = bins.iter().map(|bin| (bin - mean).powi(2)).sum::<f64>().sqrt();
     bins.iter().map(|bin| ((bin - mean) / norm) as f32).collect()
@@ -81,14 +84,25 @@ fn read(command: &[f64]) -> Found {
         wait_s: index.checked_sub(1).map_or(0.0, |before| WAITS_S[before]),
         template: &templates[index][..],
     };
-    let phases: Vec<Phase> = (0..STROKES.len())
-        .map(|index| Phase { from_s: end_s(index) - STROKE_S, to_s: end_s(index), kind: PhaseKind::Stroke })
-        .collect();
+    let strokes = (0..STROKES.len()).map(|index| (end_s(index) - STROKE_S, end_s(index)));
+    let anchors = Anchors::new([anchor(0), anchor(5)], [anchor(3), anchor(1), anchor(4), anchor(2)]);
+    read_by(anchors, period_s(), strokes, command)
+}
+
+/// What is read by those strokes.
+fn read_by(
+    anchors: Anchors<'_>,
+    period_s: f64,
+    strokes: impl Iterator<Item = (f64, f64)>,
+    command: &[f64],
+) -> Found {
+    let phases: Vec<Phase> =
+        strokes.map(|(from_s, to_s)| Phase { from_s, to_s, kind: PhaseKind::Stroke }).collect();
     let definition = CycleDefinition {
         sample_rate_hz: RATE_HZ,
-        period_s: period_s(),
+        period_s,
         bin_samples: BIN_SAMPLES,
-        anchors: Anchors::new([anchor(0), anchor(5)], [anchor(3), anchor(1), anchor(4), anchor(2)]),
+        anchors,
         demand_mark: None,
         tolerance: 0.05,
         phases: &phases,
@@ -198,4 +212,50 @@ fn cycles_that_follow_at_once_are_all_found() {
         assert_eq!(found.valid.len(), 8, "{uneven}: {found:?}");
         assert!(found.rejected.is_empty(), "{uneven}: {found:?}");
     }
+}
+
+/// Where strokes are alike and equally far apart, the end of a cycle's last stroke passes for the first of the next, and a row that is out of
+/// step by a stroke is whole before the right one. It begins too soon after the last cycle to be the next.
+#[test]
+fn a_row_that_begins_with_the_last_stroke_is_no_cycle() {
+    const SKEWS: [f64; 3] = [0.7, 1.0, 1.5];
+    // The first stroke's template goes on for longer, so that on the last one it ends later.
+    const SHOULDERS_S: [f64; 3] = [0.3, 0.1, 0.1];
+    const EVERY_S: f64 = 2.0;
+    let wave = |index: usize, tau: f64| 0.5 * (PI * tau.powf(SKEWS[index])).sin();
+    let cycle: Vec<f64> = (0..SKEWS.len())
+        .flat_map(|index| {
+            (0..200).map(move |k| {
+                let tau = (f64::from(k) + 0.5) / (STROKE_S * RATE_HZ) - 1.0;
+                if (0.0..1.0).contains(&tau) { wave(index, tau) } else { 0.0 }
+            })
+        })
+        .collect();
+    let end_s = |index: usize| EVERY_S * index as f64 + 2.0 * STROKE_S;
+    let templates: Vec<Vec<f32>> = (0..SKEWS.len())
+        .map(|index| {
+            let [from, to] = [end_s(index) - STROKE_S - SHOULDER_S, end_s(index) + SHOULDERS_S[index]]
+                .map(|at_s| (at_s * RATE_HZ).round() as usize);
+            normalized(&cycle[from..to])
+        })
+        .collect();
+    let anchor = |index: usize| Anchor {
+        end_s: end_s(index) + SHOULDERS_S[index],
+        least_correlation: 0.3,
+        sure_correlation: 1.0,
+        least_deviation: 0.02,
+        wait_s: 0.0,
+        template: &templates[index][..],
+    };
+    let strokes = (0..SKEWS.len()).map(|index| (end_s(index) - STROKE_S, end_s(index)));
+    let anchors = Anchors::new([anchor(0), anchor(2)], [anchor(1)]);
+    let command: Vec<f64> = cycle.iter().copied().cycle().take(10 * cycle.len()).collect();
+    let found = read_by(anchors, EVERY_S * SKEWS.len() as f64, strokes, &command);
+    let starts: Vec<i64> = found.valid.iter().map(|(start, ..)| *start).collect();
+    let expected: Vec<i64> = (0..10).map(|number| number * cycle.len() as i64).collect();
+    assert_eq!(starts.len(), expected.len(), "{found:?}");
+    assert!(
+        starts.iter().zip(&expected).all(|(start, expected)| (start - expected).abs() <= 3),
+        "{starts:?}"
+    );
 }

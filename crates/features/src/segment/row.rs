@@ -103,8 +103,10 @@ impl Row {
             return Some(self.found(definition, &row));
         }
         if let Some(row) = self.whole {
-            // Where a cycle has just ended, the next one begins: it cannot be out of step with the strokes.
-            let in_step = self.last_end.is_some_and(|end| row.ends[0] - end < definition.period_samples());
+            // Where a cycle has just ended, the next one begins: it cannot be out of step with the strokes. But not before its time: a row
+            // that begins with what was left of the last stroke is a likeness.
+            let coming = definition.shortest_repeat()..definition.period_samples();
+            let in_step = self.last_end.is_some_and(|end| coming.contains(&(row.ends[0] - end)));
             let wait = if in_step { definition.confirm_samples() } else { definition.waiting_samples() };
             return if now as f64 - row.end() < wait { None } else { self.flush(definition) };
         }
@@ -161,6 +163,12 @@ impl Row {
 impl CycleDefinition<'_> {
     fn period_samples(&self) -> f64 {
         self.period_s * self.sample_rate_hz
+    }
+
+    /// Least samples between the last stroke of a cycle and the first of the next.
+    fn shortest_repeat(&self) -> f64 {
+        let planned = self.period_samples() - self.planned_distance();
+        planned - self.tolerance * planned - 2.0 * self.bin_samples as f64
     }
 
     /// Least and most samples between the anchor before that one and itself.
