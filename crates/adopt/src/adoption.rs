@@ -557,7 +557,7 @@ impl Adopter<'_> {
         if self.recording.log.get(Signal::Load).is_some() {
             None
         } else {
-            process_force::read_off(spec, command)
+            process_force::read_off(spec, command, &self.described.values)
         }
     }
 

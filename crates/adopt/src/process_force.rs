@@ -5,12 +5,15 @@
 //! out, a contact that the piston runs into, and last a force of its own for each move. Gauss and Newton fit each to the mean cycle;
 //! which one is taken, if any, Schwarz's criterion says (Annals of Statistics 6 (1978)).
 
+use std::collections::BTreeMap;
+
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use seepd_sim::batch::{self, Job};
 use seepd_sim::cycle::{CycleRun, LoadCorner, Move, sum_of_loads};
 use seepd_sim::{DutyCycle, MachineSpec, Steps};
 
+use crate::plant::PlantValue;
 use crate::strokes::{range, slope};
 
 /// Shares of a move's time between which a force grows: with the stroke, at its end, or all along.
@@ -24,9 +27,15 @@ const LARGEST: f64 = 0.8;
 /// How well a weight is known: its own share, and a share of the piston's largest force.
 const OF_THE_WEIGHT: f64 = 0.2;
 const OF_THE_PISTON: f64 = 0.01;
-/// Step of the derivatives, share of the piston's largest force.
+/// Step of a force's derivatives, share of the piston's largest.
 const STEP: f64 = 0.03;
-const ITERATIONS: usize = 3;
+/// Step of a parameter's derivatives, standard deviations.
+const PLANT_STEP: f64 = 0.5;
+/// Shares of a step that are tried.
+const SHORTENED: [f64; 3] = [1.0, 0.5, 0.2];
+const ITERATIONS: usize = 10;
+/// An explanation that is better by less than this by Schwarz's criterion is as good as it gets.
+const SETTLED: f64 = 0.3;
 /// The rest of a stroke's command is worth so many independent values.
 const WORTH: f64 = 10.0;
 /// Least rest of the command that is told from none, share of its range.
@@ -35,6 +44,24 @@ const LEAST_REST: f64 = 0.001;
 const STRONG: f64 = 10.0;
 /// Samples of a stroke at most.
 const SAMPLES: usize = 200;
+/// What may be off beside a force: whatever changes the command of a stroke much.
+const UNCERTAIN: [&str; 10] = [
+    "valve_m3_per_s_sqrt_pa",
+    "relief_pressure_pa",
+    "pump_flow_m3_per_s",
+    "supply_volume_m3",
+    "relief_resistance_pa_s_per_m3",
+    "return_pressure_pa",
+    "line_m3_per_s_sqrt_pa",
+    "viscous_friction_n_s_per_m",
+    "bulk_modulus_pa",
+    "mass_kg",
+];
+/// Largest standard deviation of a parameter, share, and the farthest that it is believed off, standard deviations.
+const MOST_UNCERTAIN: f64 = 0.35;
+const FARTHEST: f64 = 3.0;
+/// A uniform distribution of this half width has the standard deviation of 1.
+const UNIFORM: f64 = 1.732_050_8;
 
 /// Forces that explain the command.
 #[derive(Debug, Clone, PartialEq)]
@@ -48,16 +75,19 @@ pub struct ProcessForce {
 }
 
 /// What a machine's moves work against, from the mean command of its planned cycle, by tick; `None` where nothing explains the strokes
-/// much better than the load that the plan has.
-pub fn read_off(spec: &MachineSpec, command: &[f64]) -> Option<ProcessForce> {
-    let problem = Problem::new(spec, command)?;
-    let plain_rest = problem
-        .rests(&Explanation::NONE, &[vec![0.0; CONSTANT_AND_FRICTION]])
-        .pop()
-        .map(|rest| rms(&rest))?;
+/// much better than the load that the plan has. The plant's parameters may be off beside it, each as `values` tells: what a wrong valve does
+/// to a stroke is no force.
+pub fn read_off(
+    spec: &MachineSpec,
+    command: &[f64],
+    values: &BTreeMap<&'static str, PlantValue>,
+) -> Option<ProcessForce> {
+    let problem = Problem::new(spec, command, values)?;
+    let plain = Fit::new(&problem, Explanation::NONE);
+    let plain_rest = plain.at(plain.origin())?.size;
     let fitted: Vec<Fitted> = explanations(&spec.cycle)
         .into_par_iter()
-        .filter_map(|explanation| problem.fitted(explanation))
+        .filter_map(|explanation| Fit::new(&problem, explanation).fitted())
         .collect();
     // The simpler explanation stands until a richer one is much better.
     let mut taken: Option<&Fitted> = None;
@@ -73,7 +103,7 @@ pub fn read_off(spec: &MachineSpec, command: &[f64]) -> Option<ProcessForce> {
     taken.filter(|taken| taken.explanation.richness() > 0).map(|best| ProcessForce {
         words: best.explanation.words.with(&best.forces_n),
         load: problem.load(&best.explanation, &best.forces_n, false),
-        left: best.rest / plain_rest,
+        left: best.size / plain_rest,
     })
 }
 
@@ -196,9 +226,33 @@ struct Fitted {
     /// The constant force beside the plan's, the friction, then one for each profile, N.
     forces_n: Vec<f64>,
     /// RMS of what is left.
-    rest: f64,
-    /// Schwarz's criterion: the smaller, the better.
+    size: f64,
+    /// Schwarz's criterion with what is known beforehand: the smaller, the better.
     criterion: f64,
+}
+
+/// A parameter of the plant that may be off beside a force.
+struct Uncertain {
+    key: &'static str,
+    /// What is known of it, and its standard deviation as a share.
+    known: f64,
+    share: f64,
+    /// The plant's own value, in standard deviations from what is known.
+    own: f64,
+}
+
+impl Uncertain {
+    fn of(key: &'static str, spec: &MachineSpec, value: &PlantValue) -> Option<Self> {
+        let share = (value.tolerance / UNIFORM).min(MOST_UNCERTAIN);
+        let own = spec.plant.get(key)?;
+        let is_open = share > 0.0 && own > 0.0 && value.value > 0.0;
+        is_open.then(|| Uncertain {
+            key,
+            known: value.value,
+            share,
+            own: ((own / value.value).ln() / share).clamp(-FARTHEST, FARTHEST),
+        })
+    }
 }
 
 struct Problem<'a> {
@@ -207,15 +261,22 @@ struct Problem<'a> {
     ticks: Vec<usize>,
     /// Directions in which the rest says nothing of a force: another null, another moment.
     nuisances: Vec<DVector<f64>>,
+    plant: Vec<Uncertain>,
     constant_n: f64,
     friction: Vec<LoadCorner>,
     largest_n: f64,
+    /// Independent values that the strokes' command is worth.
+    worth: f64,
     /// Least rest that is told from none.
     least: f64,
 }
 
 impl<'a> Problem<'a> {
-    fn new(spec: &'a MachineSpec, command: &'a [f64]) -> Option<Self> {
+    fn new(
+        spec: &'a MachineSpec,
+        command: &'a [f64],
+        values: &BTreeMap<&'static str, PlantValue>,
+    ) -> Option<Self> {
         let ticks = stroke_ticks(spec, command.len().checked_sub(2)?);
         let range = range(command);
         let ones = DVector::from_element(ticks.len(), 1.0);
@@ -228,9 +289,11 @@ impl<'a> Problem<'a> {
             command,
             ticks,
             nuisances,
+            plant: UNCERTAIN.iter().filter_map(|key| Uncertain::of(key, spec, values.get(key)?)).collect(),
             constant_n: spec.cycle.load.first().map_or(0.0, |corner| corner.force_n),
             friction: friction(&spec.cycle),
             largest_n: spec.plant.cap_area_m2 * spec.plant.relief_pressure_pa,
+            worth: WORTH * spec.cycle.moves.len() as f64,
             least: LEAST_REST * range,
         })
     }
@@ -247,23 +310,6 @@ impl<'a> Problem<'a> {
         sum_of_loads(&loads)
     }
 
-    /// What the simulated machine's second cycle leaves of the strokes' command under each set of forces, but for the nuisances.
-    fn rests(&self, explanation: &Explanation, tried: &[Vec<f64>]) -> Vec<DVector<f64>> {
-        let period = self.command.len() as u64;
-        let job = |forces_n: &Vec<f64>| {
-            let mut spec = self.spec.clone();
-            spec.cycle.load = self.load(explanation, forces_n, true);
-            let runs = vec![CycleRun::with_leak(0.0)];
-            Job { spec, runs, start_tick: 0, skip_ticks: period, record_ticks: period }
-        };
-        let jobs: Vec<Job> = tried.iter().map(job).collect();
-        batch::commands(&jobs, Steps::Fewest, |_, commands| {
-            let rest = self.ticks.iter().map(|tick| self.command[*tick] - commands[*tick]);
-            let rest = DVector::from_iterator(self.ticks.len(), rest);
-            self.nuisances.iter().fold(rest, |rest, nuisance| &rest - nuisance * nuisance.dot(&rest))
-        })
-    }
-
     /// Deviations that are usual for the forces of an explanation, N.
     fn usual_n(&self, explanation: &Explanation) -> Vec<f64> {
         let weight_n = OF_THE_WEIGHT * self.constant_n.abs() + OF_THE_PISTON * self.largest_n;
@@ -271,47 +317,142 @@ impl<'a> Problem<'a> {
         let usual_n = explanation.profiles.iter().map(|_| USUAL * self.largest_n);
         [weight_n, friction_n].into_iter().chain(usual_n).collect()
     }
+}
 
-    fn fitted(&self, explanation: Explanation) -> Option<Fitted> {
-        let usual_n = self.usual_n(&explanation);
-        let step_n = STEP * self.largest_n;
-        let worth = WORTH * self.spec.cycle.moves.len() as f64;
-        let mut forces_n = DVector::zeros(usual_n.len());
-        let mut best: Option<(Vec<f64>, f64)> = None;
-        for iteration in 0..=ITERATIONS {
-            let mut tried = vec![forces_n.as_slice().to_vec()];
-            if iteration < ITERATIONS {
-                tried.extend((0..usual_n.len()).map(|index| {
-                    let mut stepped: Vec<f64> = forces_n.as_slice().to_vec();
-                    stepped[index] += step_n;
-                    stepped
-                }));
+/// How well an explanation does with some unknowns.
+struct Point {
+    /// Forces, then the plant's parameters, each in its usual deviations.
+    unknowns: DVector<f64>,
+    rest: DVector<f64>,
+    /// RMS of the rest.
+    size: f64,
+    criterion: f64,
+}
+
+/// Fits an explanation's forces and the plant's parameters to the strokes' command.
+struct Fit<'a> {
+    problem: &'a Problem<'a>,
+    explanation: Explanation,
+    usual_n: Vec<f64>,
+}
+
+impl<'a> Fit<'a> {
+    fn new(problem: &'a Problem<'a>, explanation: Explanation) -> Self {
+        Fit { problem, usual_n: problem.usual_n(&explanation), explanation }
+    }
+
+    /// No force beside the plan's, and the plant as it is.
+    fn origin(&self) -> DVector<f64> {
+        let forces = self.usual_n.iter().map(|_| 0.0);
+        let all: Vec<f64> = forces.chain(self.problem.plant.iter().map(|uncertain| uncertain.own)).collect();
+        DVector::from_vec(all)
+    }
+
+    fn forces_n(&self, unknowns: &DVector<f64>) -> Vec<f64> {
+        self.usual_n.iter().zip(unknowns.iter()).map(|(usual_n, share)| usual_n * share).collect()
+    }
+
+    fn machine(&self, unknowns: &DVector<f64>) -> MachineSpec {
+        let mut spec = self.problem.spec.clone();
+        spec.cycle.load = self.problem.load(&self.explanation, &self.forces_n(unknowns), true);
+        for (uncertain, off) in self.problem.plant.iter().zip(unknowns.iter().skip(self.usual_n.len())) {
+            if let Some(value) = spec.plant.get_mut(uncertain.key) {
+                *value = uncertain.known * (uncertain.share * off).exp();
             }
-            let mut rests = self.rests(&explanation, &tried).into_iter();
-            let rest = rests.next()?;
-            let size = rms(&rest).max(self.least);
-            if size.is_finite() && best.as_ref().is_none_or(|(_, least)| size < *least) {
-                best = Some((forces_n.as_slice().to_vec(), size));
-            }
-            let columns: Vec<DVector<f64>> = rests.map(|stepped| (&rest - stepped) / step_n).collect();
-            if columns.is_empty() {
+        }
+        spec
+    }
+
+    /// What the simulated machine's second cycle leaves of the strokes' command each time, but for the nuisances.
+    fn rests(&self, tried: &[DVector<f64>]) -> Vec<DVector<f64>> {
+        let Problem { command, ticks, nuisances, .. } = self.problem;
+        let period = command.len() as u64;
+        let job = |unknowns: &DVector<f64>| Job {
+            spec: self.machine(unknowns),
+            runs: vec![CycleRun::with_leak(0.0)],
+            start_tick: 0,
+            skip_ticks: period,
+            record_ticks: period,
+        };
+        let jobs: Vec<Job> = tried.iter().map(job).collect();
+        batch::commands(&jobs, Steps::Fewest, |_, commands| {
+            let rest = ticks.iter().map(|tick| command[*tick] - commands[*tick]);
+            let rest = DVector::from_iterator(ticks.len(), rest);
+            nuisances.iter().fold(rest, |rest, nuisance| &rest - nuisance * nuisance.dot(&rest))
+        })
+    }
+
+    fn point(&self, unknowns: DVector<f64>, rest: DVector<f64>) -> Point {
+        let Problem { worth, least, .. } = self.problem;
+        let size = rms(&rest).hypot(*least);
+        let of_richness = self.explanation.profiles.len() as f64 * worth.ln();
+        let criterion = 2.0 * worth * size.ln() + unknowns.norm_squared() + of_richness;
+        Point { unknowns, rest, size, criterion }
+    }
+
+    /// The unknowns' point; `None` where the simulation ends in no numbers.
+    fn at(&self, unknowns: DVector<f64>) -> Option<Point> {
+        let rest = self.rests(std::slice::from_ref(&unknowns)).pop()?;
+        Some(self.point(unknowns, rest)).filter(|point| point.criterion.is_finite())
+    }
+
+    fn fitted(self) -> Option<Fitted> {
+        let mut best = self.at(self.origin())?;
+        for _ in 0..ITERATIONS {
+            let Some(better) = self.better_than(&best) else { break };
+            let gain = best.criterion - better.criterion;
+            best = better;
+            if gain < SETTLED {
                 break;
             }
-            let jacobian = DMatrix::from_columns(&columns);
-            let weight = worth / (rest.len() as f64 * size * size);
-            let mut normal = weight * jacobian.tr_mul(&jacobian);
-            let mut gradient = weight * jacobian.tr_mul(&rest);
-            for (index, usual_n) in usual_n.iter().enumerate() {
-                normal[(index, index)] += 1.0 / (usual_n * usual_n);
-                gradient[index] -= forces_n[index] / (usual_n * usual_n);
-            }
-            forces_n += normal.cholesky()?.solve(&gradient);
-            let most = LARGEST * self.largest_n;
-            forces_n.iter_mut().for_each(|force_n| *force_n = force_n.clamp(-most, most));
         }
-        let (forces_n, rest) = best?;
-        let criterion = 2.0 * worth * rest.ln() + explanation.profiles.len() as f64 * worth.ln();
-        Some(Fitted { explanation, forces_n, rest, criterion })
+        let Point { unknowns, size, criterion, .. } = best;
+        let forces_n = self.forces_n(&unknowns);
+        Some(Fitted { explanation: self.explanation, forces_n, size, criterion })
+    }
+
+    /// A point that Gauss's and Newton's step, whole or shortened, leads to; `None` where none is better.
+    fn better_than(&self, now: &Point) -> Option<Point> {
+        let step = self.step(now)?;
+        let most = LARGEST * self.problem.largest_n;
+        let farthest: Vec<f64> = self
+            .usual_n
+            .iter()
+            .map(|usual_n| most / usual_n)
+            .chain(self.problem.plant.iter().map(|_| FARTHEST))
+            .collect();
+        let shortened = |share: f64| {
+            let mut unknowns = &now.unknowns + share * &step;
+            unknowns.iter_mut().zip(&farthest).for_each(|(off, most)| *off = off.clamp(-most, *most));
+            unknowns
+        };
+        let tried = SHORTENED.map(shortened);
+        let rests = self.rests(&tried);
+        tried
+            .into_iter()
+            .zip(rests)
+            .map(|(unknowns, rest)| self.point(unknowns, rest))
+            .filter(|point| point.criterion < now.criterion)
+            .min_by(|a, b| a.criterion.total_cmp(&b.criterion))
+    }
+
+    fn step(&self, now: &Point) -> Option<DVector<f64>> {
+        let of_forces = self.usual_n.iter().map(|usual_n| STEP * self.problem.largest_n / usual_n);
+        let steps: Vec<f64> = of_forces.chain(self.problem.plant.iter().map(|_| PLANT_STEP)).collect();
+        let stepped = |(index, step): (usize, &f64)| {
+            let mut unknowns = now.unknowns.clone();
+            unknowns[index] += step;
+            unknowns
+        };
+        let tried: Vec<DVector<f64>> = steps.iter().enumerate().map(stepped).collect();
+        let rests = self.rests(&tried).into_iter().zip(&steps);
+        let columns: Vec<DVector<f64>> = rests.map(|(rest, step)| (&now.rest - rest) / *step).collect();
+        let jacobian = DMatrix::from_columns(&columns);
+        let weight = self.problem.worth / (now.rest.len() as f64 * now.size * now.size);
+        let count = now.unknowns.len();
+        let normal = weight * jacobian.tr_mul(&jacobian) + DMatrix::identity(count, count);
+        let gradient = weight * jacobian.tr_mul(&now.rest) - &now.unknowns;
+        Some(normal.cholesky()?.solve(&gradient))
     }
 }
 
@@ -349,32 +490,76 @@ fn rms(rest: &DVector<f64>) -> f64 {
 mod tests {
     use seepd_sim::cycle::load_at;
 
+    use crate::plant::Origin;
+
     use super::*;
+
+    /// The nominal press with a softer line, which takes longer steps.
+    fn press() -> MachineSpec {
+        let mut spec = MachineSpec::default();
+        spec.plant.inlet_volume_m3 *= 4.0;
+        spec.controller.steps_per_period = 3;
+        spec.cycle.load = vec![LoadCorner { at_s: 0.0, force_n: -2e3 }];
+        spec
+    }
+
+    fn command_of(spec: &MachineSpec, load: Vec<LoadCorner>) -> Vec<f64> {
+        let mut machine = spec.clone();
+        machine.cycle.load = load;
+        let job = Job {
+            spec: machine,
+            runs: vec![CycleRun::with_leak(0.0)],
+            start_tick: 0,
+            skip_ticks: 10_000,
+            record_ticks: 10_000,
+        };
+        batch::commands(&[job], Steps::Own, |_, commands| commands.to_vec()).remove(0)
+    }
+
+    fn corner(at_s: f64, force_n: f64) -> LoadCorner {
+        LoadCorner { at_s, force_n }
+    }
+
+    /// A valve, a line and a relief pressure that are others than the data sheet says, each within its tolerance, are no force, and hide
+    /// none: what presses against the moves out is found within a tenth.
+    #[test]
+    fn a_data_sheet_that_is_somewhat_wrong_makes_no_force_and_hides_none() {
+        let spec = press();
+        let value = |key: &'static str, tolerance: f64| {
+            let value = spec.plant.get(key).unwrap();
+            (key, PlantValue { value, origin: Origin::User, tolerance })
+        };
+        let values = BTreeMap::from([
+            value("valve_m3_per_s_sqrt_pa", 0.1),
+            value("relief_pressure_pa", 0.05),
+            value("line_m3_per_s_sqrt_pa", 1.0),
+            value("viscous_friction_n_s_per_m", 1.0),
+        ]);
+        let mut other = spec.clone();
+        other.plant.valve_m3_per_s_sqrt_pa *= 1.08;
+        other.plant.relief_pressure_pa *= 0.97;
+        other.plant.line_m3_per_s_sqrt_pa *= 0.8;
+        other.plant.viscous_friction_n_s_per_m *= 1.2;
+        assert_eq!(read_off(&spec, &command_of(&other, spec.cycle.load.clone()), &values), None);
+
+        let levels = [-14e3, -14e3, 0.0];
+        let pressed = spec.cycle.load_by_moves(&levels, |_| (0.0, 0.3));
+        let load = sum_of_loads(&[(1.0, &spec.cycle.load), (1.0, &pressed)]);
+        let found = read_off(&spec, &command_of(&other, load), &values).unwrap();
+        assert!(found.words.ends_with("on the moves out, until the next move back"), "{found:?}");
+        for (at_s, wanted_n) in [(2.7, -16e3), (5.0, -16e3), (9.0, -2e3)] {
+            let force_n = load_at(&found.load, at_s);
+            assert!((force_n - wanted_n).abs() < 1600.0, "{at_s}: {force_n}");
+        }
+    }
 
     /// A press whose log has no load: what presses while it extends and holds is read off its command within a tenth, and a machine
     /// without a force gets none.
     #[test]
     fn a_force_that_the_log_does_not_have_is_read_off_the_command() {
-        let mut spec = MachineSpec::default();
-        // A softer line takes longer steps.
-        spec.plant.inlet_volume_m3 *= 4.0;
-        spec.controller.steps_per_period = 3;
-        spec.cycle.load = vec![LoadCorner { at_s: 0.0, force_n: -2e3 }];
-        let command_of = |load: Vec<LoadCorner>| -> Vec<f64> {
-            let mut machine = spec.clone();
-            machine.cycle.load = load;
-            let job = Job {
-                spec: machine,
-                runs: vec![CycleRun::with_leak(0.0)],
-                start_tick: 0,
-                skip_ticks: 10_000,
-                record_ticks: 10_000,
-            };
-            batch::commands(&[job], Steps::Own, |_, commands| commands.to_vec()).remove(0)
-        };
-        assert_eq!(read_off(&spec, &command_of(spec.cycle.load.clone())), None);
+        let spec = press();
+        assert_eq!(read_off(&spec, &command_of(&spec, spec.cycle.load.clone()), &BTreeMap::new()), None);
 
-        let corner = |at_s, force_n| LoadCorner { at_s, force_n };
         // It grows over the first third of `extend` and of `press`, and is gone with the first third of `retract`.
         let pressed = vec![
             corner(0.5, -2e3),
@@ -384,7 +569,7 @@ mod tests {
             corner(6.0, -18e3),
             corner(6.75, -2e3),
         ];
-        let found = read_off(&spec, &command_of(pressed)).unwrap();
+        let found = read_off(&spec, &command_of(&spec, pressed), &BTreeMap::new()).unwrap();
         assert!(found.left < 0.3 && found.words.contains("each move"), "{found:?}");
         for (at_s, wanted_n) in [(0.2, -2e3), (2.7, -12e3), (5.0, -18e3), (9.0, -2e3)] {
             let force_n = load_at(&found.load, at_s);
@@ -396,7 +581,7 @@ mod tests {
             .map(|k| 0.01 * f64::from(k))
             .map(|at_s| corner(at_s, -2e3 - 1e6 * (spec.cycle.demand_m(at_s) - 0.37).max(0.0)))
             .collect();
-        let found = read_off(&spec, &command_of(touching)).unwrap();
+        let found = read_off(&spec, &command_of(&spec, touching), &BTreeMap::new()).unwrap();
         assert!(found.words.starts_with("a contact from 37"), "{found:?}");
         let deepest_n = load_at(&found.load, 5.0);
         assert!((deepest_n + 12e3).abs() < 1500.0, "{deepest_n}");
