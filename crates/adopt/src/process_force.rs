@@ -246,12 +246,7 @@ impl Uncertain {
         let share = (value.tolerance / UNIFORM).min(MOST_UNCERTAIN);
         let own = spec.plant.get(key)?;
         let is_open = share > 0.0 && own > 0.0 && value.value > 0.0;
-        is_open.then(|| Uncertain {
-            key,
-            known: value.value,
-            share,
-            own: ((own / value.value).ln() / share).clamp(-FARTHEST, FARTHEST),
-        })
+        is_open.then(|| Uncertain { key, known: value.value, share, own: (own / value.value).ln() / share })
     }
 }
 
@@ -415,12 +410,10 @@ impl<'a> Fit<'a> {
     fn better_than(&self, now: &Point) -> Option<Point> {
         let step = self.step(now)?;
         let most = LARGEST * self.problem.largest_n;
-        let farthest: Vec<f64> = self
-            .usual_n
-            .iter()
-            .map(|usual_n| most / usual_n)
-            .chain(self.problem.plant.iter().map(|_| FARTHEST))
-            .collect();
+        let of_forces = self.usual_n.iter().map(|usual_n| most / usual_n);
+        // A plant that was fitted may be farther off already.
+        let of_plant = self.problem.plant.iter().map(|uncertain| FARTHEST.max(uncertain.own.abs()));
+        let farthest: Vec<f64> = of_forces.chain(of_plant).collect();
         let shortened = |share: f64| {
             let mut unknowns = &now.unknowns + share * &step;
             unknowns.iter_mut().zip(&farthest).for_each(|(off, most)| *off = off.clamp(-most, *most));
