@@ -12,7 +12,7 @@ use seepd_sim::opening::SteadyOpening;
 use seepd_sim::{DutyCycle, MachineSpec, Steps};
 
 use crate::duty_cycle::FoundCycle;
-use crate::strokes::{mean, range, slope};
+use crate::strokes::{Guide, mean, range, slope};
 
 /// Points of a stroke's course at most.
 const COURSE_POINTS: usize = 100;
@@ -243,9 +243,9 @@ fn edges_by_command(found: &FoundCycle, command: &[f64], tick_s: f64) -> Vec<(us
     let edges: Vec<(usize, usize)> =
         found.strokes.iter().map(|stroke| (at(stroke.from_s), at(stroke.to_s))).collect();
     let middles = middles(&edges, ticks);
-    // Where demand and position tell an open-loop part, they tell where strokes begin and end too: what the command does in the holds beside
-    // them, as over a dead band, is the controller's.
-    let has_open_loop = found.strokes.iter().any(|stroke| stroke.open_loop.is_some());
+    // Where the demand is in the log, it tells where strokes begin and end: what the command does in the holds beside them, as over a dead
+    // band or until the piston has settled, is the controller's.
+    let is_told = found.guide == Guide::Demand;
     let of_stroke = |(index, &(from, to)): (usize, &(usize, usize))| {
         let peak = command[from..=to].iter().map(|u| u.abs()).fold(0.0, f64::max);
         let (hold_before, hold_after) = (middles[index], middles[index + 1]);
@@ -255,7 +255,7 @@ fn edges_by_command(found: &FoundCycle, command: &[f64], tick_s: f64) -> Vec<(us
             Rest::of(&command[hold_before..(hold_before + half_before / REST).max(hold_before + 1)], peak);
         let settled = hold_after.saturating_sub((half_after / REST).max(1));
         let after = Rest::of(&command[settled..hold_after.max(settled + 1)], peak);
-        let (earliest, latest) = match has_open_loop {
+        let (earliest, latest) = match is_told {
             true => (from.saturating_sub((to - from) / 20), to + (to - from) / 20),
             false => (0, ticks),
         };
@@ -264,12 +264,12 @@ fn edges_by_command(found: &FoundCycle, command: &[f64], tick_s: f64) -> Vec<(us
         let (first, last) = (hold_before.max(earliest), middle_of_hold(&edges, index, ticks).min(latest));
         let leaves = (first..from)
             .find(|tick| before.is_left_by(command[*tick]))
-            .filter(|tick| *tick > first || has_open_loop)
+            .filter(|tick| *tick > first || is_told)
             .unwrap_or(from);
         let returns = (to..last)
             .rev()
             .find(|tick| after.is_left_by(command[*tick]))
-            .filter(|tick| tick + 1 < last || has_open_loop)
+            .filter(|tick| tick + 1 < last || is_told)
             .map_or(to, |tick| tick + 1);
         (leaves, returns.max(leaves + 2))
     };
@@ -404,7 +404,6 @@ fn bounds(values: &[f64]) -> (f64, f64) {
 mod tests {
     use super::*;
     use crate::duty_cycle::{CycleStroke, Duration};
-    use crate::strokes::Guide;
 
     /// The nominal press's own command leads back to its own demand.
     #[test]
@@ -421,8 +420,9 @@ mod tests {
         assert!((way / range(&demand) - 1.0).abs() < 0.05, "{way}");
     }
 
-    /// Over an overlap a hold's command drifts from one edge of the dead band to the other: the stroke ends where the demand stands, not
-    /// where the drift ends, which may be the cycle's end. A loop that settles early in its hold ends its stroke where it has.
+    /// Over an overlap a hold's command drifts from one edge of the dead band to the other: the stroke ends where the position stands, not
+    /// where the drift ends, which may be the cycle's end. A loop that settles early in its hold ends its stroke where it has. Where the demand
+    /// is in the log, its strokes are the plan's, however long the loop takes to settle.
     #[test]
     fn a_command_that_drifts_through_its_hold_does_not_make_the_stroke_longer() {
         let (ticks, tick_s) = (2_000, 0.01);
@@ -434,8 +434,8 @@ mod tests {
             hold_after: Duration { median_s: 8.0, least_s: 8.0, most_s: 8.0 },
             open_loop: None,
         };
-        let found = FoundCycle {
-            guide: Guide::Demand,
+        let found_by = |guide: Guide| FoundCycle {
+            guide,
             period_s: 20.0,
             period: Duration { median_s: 20.0, least_s: 20.0, most_s: 20.0 },
             strokes: vec![stroke("extend", 1.0, 3.0, 0.1), stroke("retract", 11.0, 13.0, -0.1)],
@@ -452,7 +452,7 @@ mod tests {
                 _ => 0.1,
             })
             .collect();
-        let ends_s = |time_constant_s: f64| -> Vec<(f64, f64)> {
+        let ends_s = |guide: Guide, time_constant_s: f64| -> Vec<(f64, f64)> {
             let after = |since_s: f64, side: f64| side * (0.25 * (-since_s / time_constant_s).exp() - 0.09);
             let command: Vec<f64> = (0..ticks)
                 .map(|tick| match tick as f64 * tick_s {
@@ -463,13 +463,21 @@ mod tests {
                     at_s => after(at_s - 13.0, -1.0),
                 })
                 .collect();
-            let cycle = planned(&found, &demand, &command, Vec::new(), tick_s);
+            let cycle = planned(&found_by(guide), &demand, &command, Vec::new(), tick_s);
             cycle.moves.iter().map(|stroke| (stroke.from_s, stroke.to_s)).collect()
         };
-        assert_eq!(ends_s(5.0), [(1.0, 3.0), (11.0, 13.0)]);
-        let settled = ends_s(0.05);
+        assert_eq!(ends_s(Guide::Position, 5.0), [(1.0, 3.0), (11.0, 13.0)]);
+        let settled = ends_s(Guide::Position, 0.05);
         let late = |((_, to_s), stands_s): (&(f64, f64), f64)| (0.1..0.3).contains(&(to_s - stands_s));
         assert!(settled.iter().zip([3.0, 13.0]).all(late), "{settled:?}");
+        // A twentieth of the stroke is left for what finding its edges takes.
+        for time_constant_s in [0.05, 0.5, 5.0] {
+            let told = ends_s(Guide::Demand, time_constant_s);
+            let near = |((from_s, to_s), (begins_s, stands_s)): (&(f64, f64), (f64, f64))| {
+                (begins_s - from_s).abs() <= 0.1 + tick_s && (to_s - stands_s).abs() <= 0.1 + tick_s
+            };
+            assert!(told.iter().zip([(1.0, 3.0), (11.0, 13.0)]).all(near), "{told:?}");
+        }
     }
 
     #[test]
