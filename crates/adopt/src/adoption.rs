@@ -17,7 +17,7 @@ use crate::flow_curve;
 use crate::machine_data::{ControllerData, Datum, MachineData};
 use crate::open_loop::going_as_far;
 use crate::overlap;
-use crate::plant::{DataError, DescribedPlant, LoggedSize, Origin, PlantValue, describe};
+use crate::plant::{DataError, DescribedPlant, LoggedSize, Origin, PlantValue, UNIFORM, describe};
 use crate::process_force::{self, ProcessForce};
 use crate::recording::Recording;
 use crate::strokes::{noise_of, quantile, range, slope};
@@ -52,8 +52,6 @@ const NEARER: f64 = 0.85;
 const MUCH_NEARER: f64 = 0.7;
 /// A friction below this share of the largest force of the piston is left out.
 const LEAST_FRICTION: f64 = 0.01;
-/// A uniform distribution of this half width has the standard deviation of 1.
-const UNIFORM: f64 = 1.732_050_8;
 /// What is known of every cylinder and valve, standard deviations: friction of seals and guides, share of the piston's largest force
 /// (Jelali, Kroll, Hydraulic Servo-systems, 2003, chapter 4), and the null of a valve as adjusted, share of full command.
 const USUAL_FRICTION: f64 = 0.02;

@@ -236,7 +236,7 @@ pub fn planned(
     DutyCycle { period_s: ticks as f64 * tick_s, moves: moves.collect(), load }
 }
 
-/// Ticks at which the command leaves each stroke's hold before and is back at the one behind.
+/// Ticks at which the command leaves each stroke's hold before and is back at the one behind; beside where the demand stands, where it is known.
 fn edges_by_command(found: &FoundCycle, command: &[f64], tick_s: f64) -> Vec<(usize, usize)> {
     let ticks = command.len();
     let at = |seconds: f64| ((seconds / tick_s).round() as usize).min(ticks.saturating_sub(1));

@@ -10,6 +10,9 @@ use crate::flow_curve;
 use crate::machine_data::{ControllerData, ControllerKind, Datum, MachineData, Orientation, RatedOver};
 use crate::overlap;
 
+/// A uniform distribution of this half width has the standard deviation of 1: what a tolerance is to a fit.
+pub(crate) const UNIFORM: f64 = 1.732_050_8;
+
 /// Pascals in a bar.
 const BAR_PA: f64 = 1e5;
 /// Cubic metres a second in a litre a minute.

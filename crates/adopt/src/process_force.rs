@@ -13,7 +13,7 @@ use seepd_sim::batch::{self, Job};
 use seepd_sim::cycle::{CycleRun, LoadCorner, Move, sum_of_loads};
 use seepd_sim::{DutyCycle, MachineSpec, Steps};
 
-use crate::plant::PlantValue;
+use crate::plant::{PlantValue, UNIFORM};
 use crate::strokes::{range, slope};
 
 /// Shares of a move's time between which a force grows: with the stroke, at its end, or all along.
@@ -33,6 +33,7 @@ const STEP: f64 = 0.03;
 const PLANT_STEP: f64 = 0.5;
 /// Shares of a step that are tried.
 const SHORTENED: [f64; 3] = [1.0, 0.5, 0.2];
+/// Steps at most.
 const ITERATIONS: usize = 10;
 /// An explanation that is better by less than this by Schwarz's criterion is as good as it gets.
 const SETTLED: f64 = 0.3;
@@ -60,8 +61,6 @@ const UNCERTAIN: [&str; 10] = [
 /// Largest standard deviation of a parameter, share, and the farthest that it is believed off, standard deviations.
 const MOST_UNCERTAIN: f64 = 0.35;
 const FARTHEST: f64 = 3.0;
-/// A uniform distribution of this half width has the standard deviation of 1.
-const UNIFORM: f64 = 1.732_050_8;
 
 /// Forces that explain the command.
 #[derive(Debug, Clone, PartialEq)]

@@ -232,8 +232,8 @@ fn normalised(values: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    /// The nominal press ten times as long between its strokes: machines that take 3 % longer have the last stroke a whole stroke later, and
-    /// are recognised all the same, wherever the reader's bins begin.
+    /// The nominal press with six times the period and short strokes: machines that take 3 % longer have the last stroke a whole stroke later,
+    /// and are recognised all the same, wherever the reader's bins begin.
     #[test]
     fn short_strokes_late_in_a_long_cycle_are_recognised() {
         let mut spec = MachineSpec::default();
