@@ -192,6 +192,10 @@ impl RecordingWriter {
             RecordingEntry::Sample(_, sample) => sample.time_ns,
             RecordingEntry::Event(event) => event.t_ns,
         };
+        // Events are about samples that came before them: they stay in the file of these, also where it is full.
+        if matches!(record, RecordingEntry::Sample(..)) && self.file.as_ref().is_some_and(|file| file.is_due) {
+            self.close()?;
+        }
         let file = match &mut self.file {
             Some(file) => file,
             none => none.insert(TapeFile::create(&self.shelf, time_ns)?),
@@ -207,7 +211,7 @@ impl RecordingWriter {
         Ok(file.buffered.is_multiple_of(RECORDS_PER_SIZE))
     }
 
-    /// Makes the file durable, and closes it where it is full or old.
+    /// Makes the file durable; where it is full or old, the next sample begins another one.
     fn sync_and_rotate(&mut self) -> io::Result<()> {
         let Some(file) = &mut self.file else { return Ok(()) };
         file.sync()?;
@@ -222,9 +226,9 @@ impl RecordingWriter {
         self.rotate()
     }
 
-    /// Closes the file where it is full or old, or the disk is.
+    /// Has the next sample close the file where it is full or old; closes it where the disk is full.
     fn rotate(&mut self) -> io::Result<()> {
-        let Some(file) = &self.file else { return Ok(()) };
+        let Some(file) = &mut self.file else { return Ok(()) };
         // What is written into a file that has lost its name nobody finds.
         if !is_in_place(&file.handle, &file.path) {
             let path = file.path.display();
@@ -233,10 +237,8 @@ impl RecordingWriter {
             return Ok(());
         }
         let age_min = file.newest_ns.saturating_sub(file.begin_ns) as f64 / 60e9;
-        if file.bytes()? >= file.most_bytes
-            || age_min >= self.shelf.config.file_min
-            || self.shelf.is_short()?
-        {
+        file.is_due = file.bytes()? >= file.most_bytes || age_min >= self.shelf.config.file_min;
+        if self.shelf.is_short()? {
             self.close()?;
             self.shelf.make_room()?;
         }
@@ -293,8 +295,10 @@ struct TapeFile {
     line: Vec<u8>,
     begin_ns: i64,
     newest_ns: i64,
-    /// The file is closed at this size.
+    /// The file is full at this size.
     most_bytes: u64,
+    /// It is full or old: the next sample closes it.
+    is_due: bool,
     /// Records that are not on disk yet.
     buffered: u64,
     /// Whether records of it are on disk.
@@ -317,6 +321,7 @@ impl TapeFile {
             begin_ns: time_ns,
             newest_ns: time_ns,
             most_bytes,
+            is_due: false,
             buffered: 0,
             holds_records: false,
         })
@@ -417,6 +422,49 @@ pub(super) const fn channel(kind: Kind) -> (&'static str, &'static str, &'static
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A file with events alone is one that no replay of all files could begin with or go on through.
+    #[test]
+    fn what_is_said_of_samples_is_in_their_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = RecordingConfig { file_min: 0.1, ..RecordingConfig::default() };
+        let mut writer = RecordingWriter {
+            shelf: Shelf { folder: folder.path().to_owned(), config },
+            axes: ["press-1".to_owned()].into(),
+            hub: Hub::new("test".into()),
+            lost: Arc::default(),
+            file: None,
+            pause: 0,
+            complaint: None,
+            sent: 0,
+            thrown_away: 0,
+        };
+        let sample = |time_s: i64| RecordingEntry::Sample(0, Sample::command(time_s * 1_000_000_000, 0.1));
+        let event = Publication {
+            kind: Kind::Cycle,
+            axis: "press-1".to_owned(),
+            t_ns: 0,
+            json: "{}".to_owned(),
+            event_json: "{}".to_owned(),
+        };
+        let event = RecordingEntry::Event(Arc::new(event));
+        // Old by its second sample, and nothing but what is said of it comes for a while.
+        let records = [&sample(0), &sample(10), &event, &sample(20), &sample(30), &event];
+        for record in records {
+            writer.write(record).unwrap();
+            writer.sync_and_rotate().unwrap();
+        }
+        writer.close().unwrap();
+        let mut files: Vec<_> = fs::read_dir(&folder).unwrap().map(|file| file.unwrap().path()).collect();
+        files.sort();
+        let topics = |file: &PathBuf| -> Vec<String> {
+            let bytes = fs::read(file).unwrap();
+            let messages = mcap::MessageStream::new(&bytes).unwrap();
+            messages.map(|message| message.unwrap().channel.topic.clone()).collect()
+        };
+        let of_each = ["/press-1/signals", "/press-1/signals", "/press-1/leakage"];
+        assert_eq!(files.iter().map(topics).collect::<Vec<_>>(), [of_each, of_each]);
+    }
 
     /// The layout for Foxglove asks for topics and fields that recordings have.
     #[test]
