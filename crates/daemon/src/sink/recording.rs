@@ -193,7 +193,8 @@ impl RecordingWriter {
             RecordingEntry::Event(event) => event.t_ns,
         };
         // Events are about samples that came before them: they stay in the file of these, also where it is full.
-        if matches!(record, RecordingEntry::Sample(..)) && self.file.as_ref().is_some_and(|file| file.is_due) {
+        if matches!(record, RecordingEntry::Sample(..)) && self.file.as_ref().is_some_and(|file| file.is_due)
+        {
             self.close()?;
         }
         let file = match &mut self.file {
