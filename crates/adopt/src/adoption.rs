@@ -585,7 +585,11 @@ impl Adopter<'_> {
         }
         effects.extend(flow_curve::free(&spec).into_keys());
         let known = self.known_beforehand(&spec);
-        let settings = CalibrationSettings { iterations: ITERATIONS, wear: false, effects, known };
+        let open_within = overlap::half_width(&self.described.spec)
+            .filter(|_| spec.controller.ki > 0.0)
+            .map(overlap::open_within);
+        let settings =
+            CalibrationSettings { iterations: ITERATIONS, wear: false, effects, known, open_within };
         Ok(calibrate(&record, &spec, &settings))
     }
 

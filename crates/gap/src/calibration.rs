@@ -43,6 +43,10 @@ pub struct CalibrationSettings {
     /// What is known beforehand by key, of an effect's parameter by `effect.parameter`. What is not here is known as [`SimulatedAxis`]
     /// says; an effect's not at all.
     pub known: BTreeMap<String, Known>,
+    /// Command below which the loop is open, share of full command: where the overlap of a valve is known. What a controller's integral
+    /// does there hangs on all else, so that a fit that follows it may end far off; a second one begins with what the rest of the cycle
+    /// tells, and the nearer of both is taken.
+    pub open_within: Option<f64>,
 }
 
 /// What is known of a parameter before the record tells of it.
@@ -90,8 +94,16 @@ pub fn calibrate_axis<A: SimulatedAxis>(
             parameter.know(known);
         }
     }
-    let start = Fit::at(&problem, spec, free);
-    let fit = start.fitted_from_afar(&problem, iterations).renewed(&problem);
+    let mut fit = Fit::at(&problem, spec, free.clone()).fitted_from_afar(&problem, iterations);
+    if let Some(command) = settings.open_within {
+        let rest = Problem::new(record, &fitted).with_open_loop_within(command);
+        let begun = Fit::at(&rest, spec, free).fitted_from_afar(&rest, iterations);
+        let other = Fit::at(&problem, &begun.spec, begun.free).fitted(&problem, iterations);
+        if other.cost < fit.cost {
+            fit = other;
+        }
+    }
+    let fit = fit.renewed(&problem);
     let parameters = fit
         .free
         .iter()

@@ -203,6 +203,8 @@ pub(crate) struct Problem<'r> {
     weights: Vec<f64>,
     /// What each signal's sensor may be off by, where it has a class.
     allowances: Vec<Option<Allowance>>,
+    /// Recorded command below which its differences count [`OPEN_SHARE`], share of full command.
+    open_within: f64,
     /// Mean square over expected error that is left of each signal when only what differs from cycle to cycle is left.
     pub(crate) noise: Vec<f64>,
 }
@@ -214,6 +216,8 @@ const DRIVES: usize = 2;
 /// How many times larger errors are allowed while a fit is still far off: strong directions are found first, and weak ones are held by
 /// their priors.
 const RELAXED: [f64; 2] = [25.0, 5.0];
+/// Share of its weight that the command has where the loop is open. What it says there is the sum of all that is off, however little.
+const OPEN_SHARE: f64 = 0.1;
 /// Iterations of a fit with relaxed errors.
 const RELAXED_ITERATIONS: usize = 4;
 
@@ -259,7 +263,13 @@ impl<'r> Problem<'r> {
             shown.push(test.bins.clone());
         }
         let allowances = allowances(record, &shown, &weights);
-        Problem { drives, shown, weights, allowances, noise, record: owned }
+        Problem { drives, shown, weights, allowances, open_within: 0.0, noise, record: owned }
+    }
+
+    /// The same where the command hardly counts while it is nearer to 0 than that: within a valve's overlap the loop is open.
+    pub(crate) fn with_open_loop_within(mut self, command: f64) -> Self {
+        self.open_within = command;
+        self
     }
 
     /// Weighted differences of simulation and record, one row a machine: by drive, signal, bin.
@@ -268,13 +278,16 @@ impl<'r> Problem<'r> {
         let mut rows = vec![Vec::with_capacity(length); machines.len()];
         for (drive, shown) in self.drives.iter().zip(&self.shown) {
             for (row, view) in rows.iter_mut().zip(binned_signals(machines, drive, &self.record.signals)) {
-                for ((simulated, recorded), weight) in view.iter().zip(shown).zip(&self.weights) {
+                let signals = self.record.signals.iter().zip(&self.weights);
+                for ((simulated, recorded), (signal, weight)) in view.iter().zip(shown).zip(signals) {
+                    let open_within = if *signal == Signal::Command { self.open_within } else { 0.0 };
                     row.extend(simulated.iter().zip(recorded).map(|(a, b)| {
                         // What this run has no transducer for.
                         if b.is_nan() {
                             return 0.0;
                         }
-                        let difference = (a - b) * weight;
+                        let share = if b.abs() < open_within { OPEN_SHARE } else { 1.0 };
+                        let difference = (a - b) * weight * share;
                         // A simulation that went out of bounds is as far off as can be.
                         if difference.is_finite() { difference.clamp(-1e3, 1e3) } else { 1e3 }
                     }));
