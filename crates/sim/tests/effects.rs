@@ -196,7 +196,8 @@ fn nearest(mut low: f64, mut high: f64, planted_at: &dyn Fn(f64) -> MachineSpec,
             cycles[lane].push([signals.command.0[lane], signals.position.0[lane]]);
         });
         let distances = cycles.map(|cycle| distance(&cycle, log));
-        let least = (0..LANES).min_by(|a, b| distances[*a].total_cmp(&distances[*b])).unwrap();
+        let least =
+            (1..LANES).fold(0, |least, lane| if distances[lane] < distances[least] { lane } else { least });
         (low, high) = (values[least] - step, values[least] + step);
     }
     0.5 * (low + high)
