@@ -96,7 +96,7 @@ pub fn calibrate_axis<A: SimulatedAxis>(
     }
     let mut fit = Fit::at(&problem, spec, free.clone()).fitted_from_afar(&problem, iterations);
     if let Some(command) = settings.open_within {
-        let rest = Problem::new(record, &fitted).with_open_loop_within(command);
+        let rest = problem.clone().with_open_loop_within(command);
         let begun = Fit::at(&rest, spec, free).fitted_from_afar(&rest, iterations);
         let other = Fit::at(&problem, &begun.spec, begun.free).fitted(&problem, iterations);
         if other.cost < fit.cost {
