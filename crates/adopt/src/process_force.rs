@@ -8,10 +8,10 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
 use seepd_sim::batch::{self, Job};
 use seepd_sim::cycle::{CycleRun, LoadCorner, Move, sum_of_loads};
 use seepd_sim::{DutyCycle, MachineSpec, Steps};
+use seepd_train::dataset::warm_up_from_s;
 
 use crate::plant::{PlantValue, UNIFORM};
 use crate::strokes::{range, slope};
@@ -82,27 +82,24 @@ pub fn read_off(
     values: &BTreeMap<&'static str, PlantValue>,
 ) -> Option<ProcessForce> {
     let problem = Problem::new(spec, command, values)?;
-    let plain = Fit::new(&problem, Explanation::NONE);
-    let plain_rest = plain.at(plain.origin())?.size;
-    let fitted: Vec<Fitted> = explanations(&spec.cycle)
-        .into_par_iter()
-        .filter_map(|explanation| Fit::new(&problem, explanation).fitted())
-        .collect();
+    let rest = problem.rest_without_force()?;
+    let plain = Fit::new(&problem, Explanation::NONE, &rest);
+    let plain_size = plain.best.size;
+    let weight = fitted(vec![plain]).pop()?;
+    let richer = explanations(&spec.cycle).into_iter().filter(|explanation| weight.may_lose_to(explanation));
+    let richer = fitted(richer.map(|explanation| Fit::new(&problem, explanation, &rest)).collect());
     // The simpler explanation stands until a richer one is much better.
-    let mut taken: Option<&Fitted> = None;
-    for richness in 0..=MOST_RICH {
-        let alike = fitted.iter().filter(|fitted| fitted.explanation.richness() == richness);
-        let best = alike.min_by(|a, b| a.criterion.total_cmp(&b.criterion));
-        if let Some(best) =
-            best.filter(|best| taken.is_none_or(|taken| taken.criterion - best.criterion > STRONG))
-        {
-            taken = Some(best);
-        }
+    let mut taken = &weight;
+    for richness in 1..=MOST_RICH {
+        let alike = richer.iter().filter(|fit| fit.explanation.richness() == richness);
+        let best = alike.min_by(|a, b| a.best.criterion.total_cmp(&b.best.criterion));
+        taken = best.filter(|best| taken.best.criterion - best.best.criterion > STRONG).unwrap_or(taken);
     }
-    taken.filter(|taken| taken.explanation.richness() > 0).map(|best| ProcessForce {
-        words: best.explanation.words.with(&best.forces_n),
-        load: problem.load(&best.explanation, &best.forces_n, false),
-        left: best.size / plain_rest,
+    let forces_n = taken.forces_n(&taken.best.unknowns);
+    (taken.explanation.richness() > 0).then(|| ProcessForce {
+        words: taken.explanation.words.with(&forces_n),
+        load: problem.load(&taken.explanation, &forces_n, false),
+        left: taken.best.size / plain_size,
     })
 }
 
@@ -167,11 +164,12 @@ impl Explanation {
     }
 }
 
+/// Those with more than a constant force and a friction.
 fn explanations(cycle: &DutyCycle) -> Vec<Explanation> {
     let moves = &cycle.moves;
     let out: Vec<f64> =
         cycle.moves_from().map(|(from_m, stroke)| f64::from(u8::from(stroke.to_m > from_m))).collect();
-    let mut all = vec![Explanation::NONE];
+    let mut all = Vec::new();
     for shape in SHAPES {
         let profiles = vec![cycle.load_by_moves(&out, |_| shape)];
         all.push(Explanation { words: Words::Process, profiles });
@@ -217,17 +215,6 @@ fn contact(cycle: &DutyCycle, at_m: f64, deepest_m: f64) -> Vec<LoadCorner> {
     }
     corners.dedup_by(|later, earlier| later.at_s <= earlier.at_s);
     corners
-}
-
-/// An explanation with its forces.
-struct Fitted {
-    explanation: Explanation,
-    /// The constant force beside the plan's, the friction, then one for each profile, N.
-    forces_n: Vec<f64>,
-    /// RMS of what is left.
-    size: f64,
-    /// Schwarz's criterion with what is known beforehand: the smaller, the better.
-    criterion: f64,
 }
 
 /// A parameter of the plant that may be off beside a force.
@@ -304,6 +291,59 @@ impl<'a> Problem<'a> {
         sum_of_loads(&loads)
     }
 
+    /// The machine under an explanation with those forces, its plant off by so many standard deviations.
+    fn machine(
+        &self,
+        explanation: &Explanation,
+        forces_n: &[f64],
+        off: impl Iterator<Item = f64>,
+    ) -> MachineSpec {
+        let mut spec = self.spec.clone();
+        spec.cycle.load = self.load(explanation, forces_n, true);
+        for (uncertain, off) in self.plant.iter().zip(off) {
+            if let Some(value) = spec.plant.get_mut(uncertain.key) {
+                *value = uncertain.known * (uncertain.share * off).exp();
+            }
+        }
+        spec
+    }
+
+    /// The plant as it is, in standard deviations from what is known.
+    fn own(&self) -> impl Iterator<Item = f64> {
+        self.plant.iter().map(|uncertain| uncertain.own)
+    }
+
+    /// What the machine as it is leaves of the strokes' command under no force beside the plan's; `None` where its simulation ends in no
+    /// numbers.
+    fn rest_without_force(&self) -> Option<DVector<f64>> {
+        let machine = self.machine(&Explanation::NONE, &[0.0; CONSTANT_AND_FRICTION], self.own());
+        self.rests(vec![machine]).pop().filter(|rest| rms(rest).is_finite())
+    }
+
+    /// What each machine's steady cycle leaves of the strokes' command, but for the nuisances.
+    fn rests(&self, machines: Vec<MachineSpec>) -> Vec<DVector<f64>> {
+        let period = self.command.len() as u64;
+        let start_tick = (warm_up_from_s(self.spec) / self.spec.controller.period_s) as u64;
+        let job = |spec| Job {
+            spec,
+            runs: vec![CycleRun::with_leak(0.0)],
+            start_tick,
+            skip_ticks: period.saturating_sub(start_tick),
+            record_ticks: period,
+        };
+        let jobs: Vec<Job> = machines.into_iter().map(job).collect();
+        batch::commands(&jobs, Steps::Fewest, |_, commands| {
+            let rest = self.ticks.iter().map(|tick| self.command[*tick] - commands[*tick]);
+            let rest = DVector::from_iterator(self.ticks.len(), rest);
+            self.nuisances.iter().fold(rest, |rest, nuisance| &rest - nuisance * nuisance.dot(&rest))
+        })
+    }
+
+    /// Schwarz's criterion of an explanation that leaves a rest of that size, with the square of its unknowns, each in its usual deviations.
+    fn criterion(&self, explanation: &Explanation, size: f64, unlikely: f64) -> f64 {
+        2.0 * self.worth * size.ln() + unlikely + explanation.profiles.len() as f64 * self.worth.ln()
+    }
+
     /// Deviations that are usual for the forces of an explanation, N.
     fn usual_n(&self, explanation: &Explanation) -> Vec<f64> {
         let weight_n = OF_THE_WEIGHT * self.constant_n.abs() + OF_THE_PISTON * self.largest_n;
@@ -320,26 +360,68 @@ struct Point {
     rest: DVector<f64>,
     /// RMS of the rest.
     size: f64,
+    /// Schwarz's criterion with what is known beforehand: the smaller, the better.
     criterion: f64,
 }
 
-/// Fits an explanation's forces and the plant's parameters to the strokes' command.
+impl Point {
+    fn new(problem: &Problem, explanation: &Explanation, unknowns: DVector<f64>, rest: DVector<f64>) -> Self {
+        let size = rms(&rest).hypot(problem.least);
+        let criterion = problem.criterion(explanation, size, unknowns.norm_squared());
+        Point { unknowns, rest, size, criterion }
+    }
+}
+
+/// The fit of an explanation's forces and the plant's parameters to the strokes' command.
 struct Fit<'a> {
     problem: &'a Problem<'a>,
     explanation: Explanation,
     usual_n: Vec<f64>,
+    best: Point,
+    is_settled: bool,
+}
+
+/// Fits taken as far as they go, side by side: the machines that one of them tries fill the lanes of a simulation in part only.
+fn fitted(mut fits: Vec<Fit>) -> Vec<Fit> {
+    for _ in 0..ITERATIONS {
+        let mut open: Vec<&mut Fit> = fits.iter_mut().filter(|fit| !fit.is_settled).collect();
+        let stepped: Vec<Vec<DVector<f64>>> = open.iter().map(|fit| fit.stepped()).collect();
+        let slopes = rests(&open, &stepped);
+        let tried: Vec<Vec<DVector<f64>>> =
+            open.iter().zip(&slopes).map(|(fit, rests)| fit.tried(rests)).collect();
+        let rests = rests(&open, &tried);
+        for ((fit, tried), rests) in open.iter_mut().zip(tried).zip(rests) {
+            fit.go_to_the_best(tried, rests);
+        }
+    }
+    fits
+}
+
+/// What is left of the strokes' command at each fit's unknowns.
+fn rests(fits: &[&mut Fit], unknowns: &[Vec<DVector<f64>>]) -> Vec<Vec<DVector<f64>>> {
+    let Some(problem) = fits.first().map(|fit| fit.problem) else { return Vec::new() };
+    let machines = fits
+        .iter()
+        .zip(unknowns)
+        .flat_map(|(fit, unknowns)| unknowns.iter().map(|unknowns| fit.machine(unknowns)))
+        .collect();
+    let mut rests = problem.rests(machines).into_iter();
+    unknowns.iter().map(|unknowns| rests.by_ref().take(unknowns.len()).collect()).collect()
 }
 
 impl<'a> Fit<'a> {
-    fn new(problem: &'a Problem<'a>, explanation: Explanation) -> Self {
-        Fit { problem, usual_n: problem.usual_n(&explanation), explanation }
+    /// No force beside the plan's, and the plant as it is, which leave that rest.
+    fn new(problem: &'a Problem<'a>, explanation: Explanation, rest: &DVector<f64>) -> Self {
+        let usual_n = problem.usual_n(&explanation);
+        let unknowns: Vec<f64> = usual_n.iter().map(|_| 0.0).chain(problem.own()).collect();
+        let best = Point::new(problem, &explanation, DVector::from_vec(unknowns), rest.clone());
+        Fit { problem, explanation, usual_n, best, is_settled: false }
     }
 
-    /// No force beside the plan's, and the plant as it is.
-    fn origin(&self) -> DVector<f64> {
-        let forces = self.usual_n.iter().map(|_| 0.0);
-        let all: Vec<f64> = forces.chain(self.problem.plant.iter().map(|uncertain| uncertain.own)).collect();
-        DVector::from_vec(all)
+    /// Whether another explanation would be much better if it left nothing.
+    fn may_lose_to(&self, other: &Explanation) -> bool {
+        let at_best = self.problem.criterion(other, self.problem.least, 0.0);
+        self.best.criterion - at_best > STRONG
     }
 
     fn forces_n(&self, unknowns: &DVector<f64>) -> Vec<f64> {
@@ -347,104 +429,69 @@ impl<'a> Fit<'a> {
     }
 
     fn machine(&self, unknowns: &DVector<f64>) -> MachineSpec {
-        let mut spec = self.problem.spec.clone();
-        spec.cycle.load = self.problem.load(&self.explanation, &self.forces_n(unknowns), true);
-        for (uncertain, off) in self.problem.plant.iter().zip(unknowns.iter().skip(self.usual_n.len())) {
-            if let Some(value) = spec.plant.get_mut(uncertain.key) {
-                *value = uncertain.known * (uncertain.share * off).exp();
-            }
-        }
-        spec
+        let off = unknowns.iter().skip(self.usual_n.len()).copied();
+        self.problem.machine(&self.explanation, &self.forces_n(unknowns), off)
     }
 
-    /// What the simulated machine's second cycle leaves of the strokes' command each time, but for the nuisances.
-    fn rests(&self, tried: &[DVector<f64>]) -> Vec<DVector<f64>> {
-        let Problem { command, ticks, nuisances, .. } = self.problem;
-        let period = command.len() as u64;
-        let job = |unknowns: &DVector<f64>| Job {
-            spec: self.machine(unknowns),
-            runs: vec![CycleRun::with_leak(0.0)],
-            start_tick: 0,
-            skip_ticks: period,
-            record_ticks: period,
-        };
-        let jobs: Vec<Job> = tried.iter().map(job).collect();
-        batch::commands(&jobs, Steps::Fewest, |_, commands| {
-            let rest = ticks.iter().map(|tick| command[*tick] - commands[*tick]);
-            let rest = DVector::from_iterator(ticks.len(), rest);
-            nuisances.iter().fold(rest, |rest, nuisance| &rest - nuisance * nuisance.dot(&rest))
-        })
-    }
-
-    fn point(&self, unknowns: DVector<f64>, rest: DVector<f64>) -> Point {
-        let Problem { worth, least, .. } = self.problem;
-        let size = rms(&rest).hypot(*least);
-        let of_richness = self.explanation.profiles.len() as f64 * worth.ln();
-        let criterion = 2.0 * worth * size.ln() + unknowns.norm_squared() + of_richness;
-        Point { unknowns, rest, size, criterion }
-    }
-
-    /// The unknowns' point; `None` where the simulation ends in no numbers.
-    fn at(&self, unknowns: DVector<f64>) -> Option<Point> {
-        let rest = self.rests(std::slice::from_ref(&unknowns)).pop()?;
-        Some(self.point(unknowns, rest)).filter(|point| point.criterion.is_finite())
-    }
-
-    fn fitted(self) -> Option<Fitted> {
-        let mut best = self.at(self.origin())?;
-        for _ in 0..ITERATIONS {
-            let Some(better) = self.better_than(&best) else { break };
-            let gain = best.criterion - better.criterion;
-            best = better;
-            if gain < SETTLED {
-                break;
-            }
-        }
-        let Point { unknowns, size, criterion, .. } = best;
-        let forces_n = self.forces_n(&unknowns);
-        Some(Fitted { explanation: self.explanation, forces_n, size, criterion })
-    }
-
-    /// A point that Gauss's and Newton's step, whole or shortened, leads to; `None` where none is better.
-    fn better_than(&self, now: &Point) -> Option<Point> {
-        let step = self.step(now)?;
-        let most = LARGEST * self.problem.largest_n;
-        let of_forces = self.usual_n.iter().map(|usual_n| most / usual_n);
-        // A plant that was fitted may be farther off already.
-        let of_plant = self.problem.plant.iter().map(|uncertain| FARTHEST.max(uncertain.own.abs()));
-        let farthest: Vec<f64> = of_forces.chain(of_plant).collect();
-        let shortened = |share: f64| {
-            let mut unknowns = &now.unknowns + share * &step;
-            unknowns.iter_mut().zip(&farthest).for_each(|(off, most)| *off = off.clamp(-most, *most));
-            unknowns
-        };
-        let tried = SHORTENED.map(shortened);
-        let rests = self.rests(&tried);
-        tried
-            .into_iter()
-            .zip(rests)
-            .map(|(unknowns, rest)| self.point(unknowns, rest))
-            .filter(|point| point.criterion < now.criterion)
-            .min_by(|a, b| a.criterion.total_cmp(&b.criterion))
-    }
-
-    fn step(&self, now: &Point) -> Option<DVector<f64>> {
+    /// Steps of the unknowns for their derivatives.
+    fn steps(&self) -> impl Iterator<Item = f64> {
         let of_forces = self.usual_n.iter().map(|usual_n| STEP * self.problem.largest_n / usual_n);
-        let steps: Vec<f64> = of_forces.chain(self.problem.plant.iter().map(|_| PLANT_STEP)).collect();
-        let stepped = |(index, step): (usize, &f64)| {
-            let mut unknowns = now.unknowns.clone();
+        of_forces.chain(self.problem.plant.iter().map(|_| PLANT_STEP))
+    }
+
+    /// The best unknowns with each of them stepped by itself.
+    fn stepped(&self) -> Vec<DVector<f64>> {
+        let stepped = |(index, step): (usize, f64)| {
+            let mut unknowns = self.best.unknowns.clone();
             unknowns[index] += step;
             unknowns
         };
-        let tried: Vec<DVector<f64>> = steps.iter().enumerate().map(stepped).collect();
-        let rests = self.rests(&tried).into_iter().zip(&steps);
-        let columns: Vec<DVector<f64>> = rests.map(|(rest, step)| (&now.rest - rest) / *step).collect();
+        self.steps().enumerate().map(stepped).collect()
+    }
+
+    /// Unknowns along Gauss's and Newton's step, whole and shortened, from what the stepped ones leave; none where they tell nothing.
+    fn tried(&self, rests: &[DVector<f64>]) -> Vec<DVector<f64>> {
+        let Some(step) = self.step(rests) else { return Vec::new() };
+        let most = LARGEST * self.problem.largest_n;
+        let of_forces = self.usual_n.iter().map(|usual_n| most / usual_n);
+        // A plant that was fitted may be farther off already.
+        let of_plant = self.problem.own().map(|own| FARTHEST.max(own.abs()));
+        let farthest: Vec<f64> = of_forces.chain(of_plant).collect();
+        let shortened = |share: f64| {
+            let mut unknowns = &self.best.unknowns + share * &step;
+            unknowns.iter_mut().zip(&farthest).for_each(|(off, most)| *off = off.clamp(-most, *most));
+            unknowns
+        };
+        SHORTENED.map(shortened).into()
+    }
+
+    fn step(&self, rests: &[DVector<f64>]) -> Option<DVector<f64>> {
+        let Point { unknowns, rest: now, size, .. } = &self.best;
+        let columns: Vec<DVector<f64>> =
+            rests.iter().zip(self.steps()).map(|(rest, step)| (now - rest) / step).collect();
         let jacobian = DMatrix::from_columns(&columns);
-        let weight = self.problem.worth / (now.rest.len() as f64 * now.size * now.size);
-        let count = now.unknowns.len();
+        let weight = self.problem.worth / (now.len() as f64 * size * size);
+        let count = unknowns.len();
         let normal = weight * jacobian.tr_mul(&jacobian) + DMatrix::identity(count, count);
-        let gradient = weight * jacobian.tr_mul(&now.rest) - &now.unknowns;
+        let gradient = weight * jacobian.tr_mul(now) - unknowns;
         Some(normal.cholesky()?.solve(&gradient))
+    }
+
+    /// Goes to the best of the unknowns that were tried, where one is better, and is settled where that gains little.
+    fn go_to_the_best(&mut self, tried: Vec<DVector<f64>>, rests: Vec<DVector<f64>>) {
+        let points = tried
+            .into_iter()
+            .zip(rests)
+            .map(|(unknowns, rest)| Point::new(self.problem, &self.explanation, unknowns, rest));
+        let better = points
+            .filter(|point| point.criterion < self.best.criterion)
+            .min_by(|a, b| a.criterion.total_cmp(&b.criterion));
+        let Some(better) = better else {
+            self.is_settled = true;
+            return;
+        };
+        self.is_settled = self.best.criterion - better.criterion < SETTLED;
+        self.best = better;
     }
 }
 

@@ -145,7 +145,7 @@ pub fn lead(observation: &Observation) -> usize {
 }
 
 /// Where in the warm-up cycle a machine begins, at rest, s: what it did before that has died away by the end of the cycle.
-fn warm_up_from_s(spec: &MachineSpec) -> f64 {
+pub fn warm_up_from_s(spec: &MachineSpec) -> f64 {
     let latest_s = LATEST_WARM_UP * spec.cycle.period_s;
     let begins = spec.cycle.moves.iter().map(|stroke| stroke.from_s);
     begins.filter(|from_s| *from_s <= latest_s).fold(0.0, f64::max)
