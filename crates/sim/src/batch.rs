@@ -72,8 +72,9 @@ pub fn run_lanes(jobs: &[Job], steps: Steps, mut sink: impl FnMut(usize, &Simula
         let ticks = BLOCK_TICKS.min((end - tick) as usize);
         inputs.clear();
         for _ in 0..ticks {
-            samples.clear();
-            samples.extend(schedules.iter_mut().filter_map(Iterator::next));
+            for (sample, next) in samples.iter_mut().zip(schedules.iter_mut().filter_map(Iterator::next)) {
+                *sample = next;
+            }
             inputs.push(Input::gather(&samples));
         }
         tick_block(&machine, &mut state, &inputs, &mut block);

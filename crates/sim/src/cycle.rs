@@ -65,6 +65,11 @@ impl Move {
         self.progress((at_s - self.from_s) / (self.to_s - self.from_s))
     }
 
+    /// Demand at a time in the cycle of a move that begins at a position, m.
+    fn between(&self, from_m: f64, at_s: f64) -> f64 {
+        from_m + (self.to_m - from_m) * self.progress_at(at_s)
+    }
+
     /// Who makes the command at a time in the cycle.
     fn open_loop_at(&self, at_s: f64) -> Option<OpenLoopTick<f64>> {
         let open = self.open_loop.as_ref().filter(|_| (self.from_s..self.to_s).contains(&at_s))?;
@@ -113,7 +118,11 @@ pub struct LoadCorner {
 
 /// Load at a time, N: linear between its corners, constant outside them, none without a corner.
 pub fn load_at(corners: &[LoadCorner], at_s: f64) -> f64 {
-    let after = corners.partition_point(|corner| corner.at_s <= at_s);
+    load_after(corners, corners.partition_point(|corner| corner.at_s <= at_s), at_s)
+}
+
+/// Load at a time before which so many corners are, N.
+fn load_after(corners: &[LoadCorner], after: usize, at_s: f64) -> f64 {
     match (after.checked_sub(1).map(|before| &corners[before]), corners.get(after)) {
         (Some(a), Some(b)) => a.force_n + (b.force_n - a.force_n) * ((at_s - a.at_s) / (b.at_s - a.at_s)),
         (Some(only), None) | (None, Some(only)) => only.force_n,
@@ -204,10 +213,19 @@ impl DutyCycle {
             if at_s < stroke.from_s {
                 break;
             }
-            position += (stroke.to_m - position)
-                * stroke.progress((at_s - stroke.from_s) / (stroke.to_s - stroke.from_s));
+            position = stroke.between(position, at_s);
         }
         position
+    }
+
+    /// Where the demand of each move begins and where it ends, m.
+    fn ways_m(&self) -> Vec<(f64, f64)> {
+        let mut from_m = self.start_position_m();
+        let way = |stroke: &Move| {
+            let end_m = stroke.between(from_m, stroke.to_s);
+            (std::mem::replace(&mut from_m, end_m), end_m)
+        };
+        self.moves.iter().map(way).collect()
     }
 
     /// Whether a move begins open loop.
@@ -284,6 +302,12 @@ pub struct Schedule {
     ticks_of_run: u64,
     /// Load at the tick, N: the end of the one before.
     load_n: f64,
+    /// Where each move begins and where it ends, m.
+    ways_m: Vec<(f64, f64)>,
+    has_open_loop: bool,
+    /// Moves of the run that have begun, and corners of its load that are behind: time only goes on within a run.
+    begun: usize,
+    passed: usize,
 }
 
 /// The drive at one controller tick: what the machine is asked for and what acts on it.
@@ -349,6 +373,10 @@ impl Schedule {
             tick: 0,
             ticks_of_run: 0,
             load_n: 0.0,
+            ways_m: cycle.ways_m(),
+            has_open_loop: cycle.has_open_loop(),
+            begun: 0,
+            passed: 0,
         };
         schedule.ticks_of_run = schedule.ticks_of(0);
         schedule.load_n = schedule.load_at(0, 0);
@@ -379,9 +407,25 @@ impl Schedule {
         OpenLoopTick { command: tick.command / stretch, ..tick }
     }
 
-    fn load_at(&self, run: usize, tick: u64) -> f64 {
-        let of = self.at(run);
-        self.cycle.load_n(tick as f64 * self.period_s / of.stretch) * of.load_factor
+    /// Load at a tick of a run, N, not before the one that was asked for last.
+    fn load_at(&mut self, run: usize, tick: u64) -> f64 {
+        let &CycleRun { stretch, load_factor, .. } = self.at(run);
+        let at_s = tick as f64 * self.period_s / stretch;
+        if tick == 0 {
+            self.passed = 0;
+        }
+        let ahead = self.cycle.load.iter().skip(self.passed);
+        self.passed += ahead.take_while(|corner| corner.at_s <= at_s).count();
+        load_after(&self.cycle.load, self.passed, at_s) * load_factor
+    }
+
+    /// Demand at a time within the run, m, not before the one that was asked for last.
+    fn demand_at(&mut self, at_s: f64) -> f64 {
+        let ahead = self.cycle.moves.iter().skip(self.begun);
+        self.begun += ahead.take_while(|stroke| stroke.from_s <= at_s).count();
+        let Some(last) = self.begun.checked_sub(1) else { return self.cycle.start_position_m() };
+        let (stroke, (from_m, end_m)) = (&self.cycle.moves[last], self.ways_m[last]);
+        if at_s >= stroke.to_s { end_m } else { stroke.between(from_m, at_s) }
     }
 }
 
@@ -398,17 +442,24 @@ impl Iterator for Schedule {
         }
         let load_end_n = self.load_at(self.run, self.tick);
         let load_n = std::mem::replace(&mut self.load_n, load_end_n);
-        let of = self.at(run);
-        let at_s = tick as f64 * self.period_s / of.stretch;
+        let &CycleRun { stretch, leak_area_m2, .. } = self.at(run);
+        let at_s = tick as f64 * self.period_s / stretch;
+        if tick == 0 {
+            self.begun = 0;
+        }
         Some(DriveSample {
             run,
             at_s,
-            demand_m: self.cycle.demand_m(at_s),
+            demand_m: self.demand_at(at_s),
             command: 0.0,
             load_n,
             load_end_n,
-            leak_area_m2: of.leak_area_m2,
-            open_loop: self.open_loop_at(at_s, of.stretch),
+            leak_area_m2,
+            open_loop: if self.has_open_loop {
+                self.open_loop_at(at_s, stretch)
+            } else {
+                OpenLoopTick::default()
+            },
         })
     }
 }
@@ -416,6 +467,38 @@ impl Iterator for Schedule {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// The drive goes along its cycle as the cycle is asked for at each time, to the bit: over pauses, other time scales, a start within a
+    /// run, steps of the load and moves that follow one another at once.
+    #[test]
+    fn a_drive_is_the_cycle_at_each_of_its_times() {
+        let mut cycle = DutyCycle::default();
+        cycle.moves[1].from_s = cycle.moves[0].to_s;
+        cycle.moves[2].course = vec![0.0, 0.1, 0.7, 0.999];
+        cycle.load.insert(2, LoadCorner { at_s: 3.25, force_n: -9e3 });
+        let run =
+            |stretch, pause_s| CycleRun { stretch, pause_s, load_factor: 1.1, ..CycleRun::with_leak(1e-7) };
+        let runs = vec![run(1.0, 0.0), run(0.93, 0.4), run(1.07, 0.0)];
+        for start_tick in [0, 4_321] {
+            let schedule = Schedule::new(&cycle, 1e-3, runs.clone()).starting_at(start_tick);
+            let ticks = [0, 1, 2].map(|run| schedule.ticks_of(run));
+            let (mut tick, mut run) = (start_tick, 0);
+            for sample in schedule.take(40_000) {
+                let of = &runs[run.min(2)];
+                let at_s = tick as f64 * 1e-3 / of.stretch;
+                let expected = [cycle.demand_m(at_s), cycle.load_n(at_s) * of.load_factor];
+                assert_eq!(
+                    [sample.demand_m, sample.load_n].map(f64::to_bits),
+                    expected.map(f64::to_bits),
+                    "{at_s}"
+                );
+                tick += 1;
+                if tick == ticks[run.min(2)] {
+                    (tick, run) = (0, run + 1);
+                }
+            }
+        }
+    }
 
     #[test]
     fn loads_add_up() {
