@@ -1,6 +1,7 @@
 //! What has changed since the baseline, on whole logs: the cause is named, the leak is sized beside it, and nothing but a leak is called
 //! one.
 
+use std::fs;
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
@@ -130,6 +131,36 @@ fn a_leak_beside_a_shifted_null_is_sized_within_its_interval() {
         let error = last["leak_area_m2"].as_f64().unwrap() / truth - 1.0;
         assert!(error.abs() < 0.2, "{leak_lpm} L/min beside {null}: {error:+.2}");
     }
+}
+
+/// The comparison knows the supply as a condition: nothing is taken off for it. On an adopted machine, whose plant is not quite its own, what
+/// the causes say of the leak counts beside it all the same.
+#[test]
+fn an_adopted_machine_s_leak_beside_another_supply_is_sized_by_its_causes_too() {
+    let place = &*PLACE;
+    let (model, plant) = (place.folder.join("adopted.json"), place.folder.join("supply.toml"));
+    let mut adopted: Value = serde_json::from_slice(seepd::EMBEDDED_MODEL).unwrap();
+    adopted["causes"]["sizes_leaks"] = true.into();
+    fs::write(&model, adopted.to_string()).unwrap();
+    fs::write(&plant, "[plant]\nrelief_pressure_pa = 1.36e7\n").unwrap();
+    let leak_area_m2 = 1e-7;
+    let cycles_after = ["--cycles", "10", "--seed", "5", "--leak-area", "1e-7"];
+    let log = place.log("supply", &[&["--plant", plant.to_str().unwrap()], &cycles_after[..]].concat());
+    let baseline = place.baseline();
+    let lines = crate::support::replay(
+        &log,
+        &["--model", model.to_str().unwrap(), "--baseline", baseline.to_str().unwrap()],
+    );
+    let last = cycles(&lines).last().unwrap();
+    assert_eq!((&last["cause"], &last["cause_also"]), (&"piston_seal".into(), &"supply".into()), "{last}");
+    let ends = |of: &Value| [0, 1].map(|end| of["interval90"][end].as_f64().unwrap());
+    let seal = &last["cause_candidates"][0];
+    assert_eq!(seal["cause"], "piston_seal", "{last}");
+    let ([low, high], [least, most]) =
+        ([0, 1].map(|end| last["interval90_m2"][end].as_f64().unwrap()), ends(seal));
+    assert!(low <= least && high >= most, "{low:e} … {high:e} leaves out {least:e} … {most:e}");
+    let error = last["leak_area_m2"].as_f64().unwrap() / leak_area_m2 - 1.0;
+    assert!(error.abs() < 0.1, "{error:+.3}");
 }
 
 /// Oil lost outside from the cap chamber moves the command much as a null shift towards − does, and a leak's law bends its response: which

@@ -200,8 +200,11 @@ impl BaselineComparator {
         // Beside a leak the other cause must be certain: it would carry the baseline over what nobody knows.
         let (kind, has_leak) = explanation.other.filter(|_| explanation.verdict != ChangeVerdict::Unknown)?;
         let hides_a_leak = !has_leak && explanation.seal >= cause::IN_DOUBT && !is_beyond_training;
-        if hides_a_leak || !cause::is_taken_off(kind, load_change.is_some(), is_beyond_training) {
+        if hides_a_leak {
             return None;
+        }
+        if !cause::is_taken_off(kind, load_change.is_some(), is_beyond_training) {
+            return leak.map(|_| middle_sized(*plain));
         }
         let without = |means: &mut [f64]| {
             means.iter_mut().zip(&explanation.response).for_each(|(mean, response)| *mean -= response);
