@@ -23,7 +23,12 @@ thread_local! {
 }
 
 fn site() -> Site {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+    // Its clock goes on where nothing else does: no beat of an event stream and no patience with a client is waited for.
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .start_paused(true)
+        .build()
+        .expect("a runtime");
     let hub = Hub::new("fuzzed".into());
     let (sender, orders) = mpsc::channel(2);
     hub.add_axis(AxisStatus::new("press", 7e6), sender);

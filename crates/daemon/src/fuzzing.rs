@@ -9,15 +9,20 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 /// Times that a client waits for answers before it leaves.
 const WAITS: u8 = 8;
 
-/// A connection on which somebody says something head by head, takes whatever is answered, and leaves after a while.
+/// Pieces of answers that it takes once it has said everything. A stream of events never ends by itself, and what stands unread behind its
+/// request keeps the other side from seeing that the client has ended.
+const TAKES: u8 = 64;
+
+/// A connection on which somebody says something head by head, takes what is answered, and leaves after a while.
 pub(crate) struct Said<'b> {
     bytes: &'b [u8],
     waits: u8,
+    takes: u8,
 }
 
 impl<'b> Said<'b> {
     pub(crate) fn new(bytes: &'b [u8]) -> Self {
-        Said { bytes, waits: WAITS }
+        Said { bytes, waits: WAITS, takes: TAKES }
     }
 }
 
@@ -42,7 +47,17 @@ impl AsyncRead for Said<'_> {
 }
 
 impl AsyncWrite for Said<'_> {
-    fn poll_write(self: Pin<&mut Self>, _context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        _context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        if self.bytes.is_empty() {
+            let Some(left) = self.takes.checked_sub(1) else {
+                return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
+            };
+            self.takes = left;
+        }
         Poll::Ready(Ok(bytes.len()))
     }
 
