@@ -9,8 +9,8 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 /// Times that a client waits for answers before it leaves.
 const WAITS: u8 = 8;
 
-/// Pieces of answers that it takes once it has said everything. A stream of events never ends by itself, and what stands unread behind its
-/// request keeps the other side from seeing that the client has ended.
+/// Pieces of answers that it takes while nobody listens. A stream of events never ends by itself, and what stands unread behind its request
+/// keeps the other side from seeing that the client has ended.
 const TAKES: u8 = 64;
 
 /// A connection on which somebody says something head by head, takes what is answered, and leaves after a while.
@@ -42,6 +42,9 @@ impl AsyncRead for Said<'_> {
         let (now, later) = self.bytes.split_at(self.bytes.len().min(into.remaining()).min(head));
         into.put_slice(now);
         self.bytes = later;
+        if !now.is_empty() {
+            self.takes = TAKES;
+        }
         Poll::Ready(Ok(()))
     }
 }
@@ -52,12 +55,10 @@ impl AsyncWrite for Said<'_> {
         _context: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        if self.bytes.is_empty() {
-            let Some(left) = self.takes.checked_sub(1) else {
-                return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
-            };
-            self.takes = left;
-        }
+        let Some(left) = self.takes.checked_sub(1) else {
+            return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
+        };
+        self.takes = left;
         Poll::Ready(Ok(bytes.len()))
     }
 
