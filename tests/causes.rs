@@ -153,11 +153,10 @@ fn an_adopted_machine_s_leak_beside_another_supply_is_sized_by_its_causes_too() 
     );
     let last = cycles(&lines).last().unwrap();
     assert_eq!((&last["cause"], &last["cause_also"]), (&"piston_seal".into(), &"supply".into()), "{last}");
-    let ends = |of: &Value| [0, 1].map(|end| of["interval90"][end].as_f64().unwrap());
+    let ends = |interval: &Value| [0, 1].map(|end| interval[end].as_f64().unwrap());
     let seal = &last["cause_candidates"][0];
     assert_eq!(seal["cause"], "piston_seal", "{last}");
-    let ([low, high], [least, most]) =
-        ([0, 1].map(|end| last["interval90_m2"][end].as_f64().unwrap()), ends(seal));
+    let ([low, high], [least, most]) = (ends(&last["interval90_m2"]), ends(&seal["interval90"]));
     assert!(low <= least && high >= most, "{low:e} … {high:e} leaves out {least:e} … {most:e}");
     let error = last["leak_area_m2"].as_f64().unwrap() / leak_area_m2 - 1.0;
     assert!(error.abs() < 0.1, "{error:+.3}");

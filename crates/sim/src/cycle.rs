@@ -304,7 +304,6 @@ pub struct Schedule {
     load_n: f64,
     /// Where each move begins and where it ends, m.
     ways_m: Vec<(f64, f64)>,
-    has_open_loop: bool,
     /// Moves of the run that have begun, and corners of its load that are behind: time only goes on within a run.
     begun: usize,
     passed: usize,
@@ -374,7 +373,6 @@ impl Schedule {
             ticks_of_run: 0,
             load_n: 0.0,
             ways_m: cycle.ways_m(),
-            has_open_loop: cycle.has_open_loop(),
             begun: 0,
             passed: 0,
         };
@@ -455,11 +453,7 @@ impl Iterator for Schedule {
             load_n,
             load_end_n,
             leak_area_m2,
-            open_loop: if self.has_open_loop {
-                self.open_loop_at(at_s, stretch)
-            } else {
-                OpenLoopTick::default()
-            },
+            open_loop: self.open_loop_at(at_s, stretch),
         })
     }
 }
