@@ -10,6 +10,8 @@ use crate::can::text_log::TextLog;
 use crate::counted::CountedReader;
 use crate::error::LogError;
 use crate::far::is_address;
+#[cfg(not(feature = "object-store"))]
+use crate::far::not_built;
 #[cfg(feature = "object-store")]
 use crate::far::{Parts, SILENCE};
 use crate::forward::Forward;
@@ -98,9 +100,7 @@ impl Opened<'static> {
 
     #[cfg(not(feature = "object-store"))]
     fn far(_path: &Path, name: &str, _on_bytes: impl FnMut(u64)) -> Result<Self, LogError> {
-        let what =
-            "this build reads no addresses; download the log first, or build with `--features object-store`";
-        Err(LogError::data(name, what))
+        Err(not_built(name))
     }
 }
 

@@ -7,9 +7,10 @@ use std::path::{Path, PathBuf};
 use seepd_signals::Sample;
 
 use crate::error::LogError;
+use crate::far;
 use crate::mapping::LogMapping;
 use crate::record::Clock;
-use crate::source::{Source, open_file};
+use crate::source::{Source, log_name, open_file};
 
 /// Endings of logs' names, without those of archives.
 const ENDINGS: &[&str] = &["mcap", "db3", "csv", "tsv", "txt", "log", "asc", "blf", "trc", "mf4", "mdf"];
@@ -18,20 +19,21 @@ const BAG_ENDINGS: &[&str] = &["mcap", "db3"];
 /// What tells a bag's folder.
 const BAG_FILE: &str = "metadata.yaml";
 
-/// The logs that a path names: those of a folder or of a pattern by their names, numbers in them by size; else the path itself.
+/// The logs that a path names: those of a folder or of a pattern, here or in S3, by their names, numbers in them by size; else the path
+/// itself.
 ///
 /// # Errors
-/// [`LogError`] where a folder has no log, or nothing fits a pattern.
+/// [`LogError`] where a folder has no log, nothing fits a pattern, or a server cannot be asked.
 pub fn logs_of(path: &Path) -> Result<Vec<PathBuf>, LogError> {
-    let name = path.display().to_string();
-    let reading = |error| LogError::reading(&name, error);
-    let found = if path.is_dir() {
+    let name = log_name(path);
+    let found = if far::is_series(path) {
+        let files = far::files_of(path)?;
+        if far::is_folder(path) { logs_among(files) } else { files }
+    } else if path.is_dir() {
         let files: Result<Vec<PathBuf>, std::io::Error> =
-            fs::read_dir(path).map_err(reading)?.map(|entry| entry.map(|entry| entry.path())).collect();
-        let files = files.map_err(reading)?;
-        let is_bag = files.iter().any(|file| file.file_name().is_some_and(|name| name == BAG_FILE));
-        let endings = if is_bag { BAG_ENDINGS } else { ENDINGS };
-        files.into_iter().filter(|file| file.is_file() && has_ending(file, endings)).collect()
+            fs::read_dir(path).and_then(|entries| entries.map(|entry| Ok(entry?.path())).collect());
+        let files = files.map_err(|error| LogError::reading(&name, error))?;
+        logs_among(files.into_iter().filter(|file| file.is_file()).collect())
     } else if is_pattern(path) {
         let paths =
             glob::glob(&name).map_err(|error| LogError::data(&name, format!("as a pattern: {error}")))?;
@@ -42,26 +44,37 @@ pub fn logs_of(path: &Path) -> Result<Vec<PathBuf>, LogError> {
     sorted(found).ok_or(LogError::NoLogs { name })
 }
 
+/// Those of a folder's files that are logs, by their names; in a bag's folder, those of the bag.
+fn logs_among(mut files: Vec<PathBuf>) -> Vec<PathBuf> {
+    let is_bag = files.iter().any(|file| file.file_name().is_some_and(|name| name == BAG_FILE));
+    let endings = if is_bag { BAG_ENDINGS } else { ENDINGS };
+    files.retain(|file| has_ending(file, endings));
+    files
+}
+
 fn sorted(mut found: Vec<PathBuf>) -> Option<Vec<PathBuf>> {
     found.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
     (!found.is_empty()).then_some(found)
 }
 
-/// Bytes of the files that a path names; 0 for what has no length.
+/// Bytes of the files that a path names; 0 for what has no length, or is far away.
 pub fn bytes_of(path: &Path) -> u64 {
+    if far::is_address(path) {
+        return 0;
+    }
     let logs = logs_of(path).unwrap_or_default();
     logs.iter().filter_map(|log| fs::metadata(log).ok()).map(|facts| facts.len()).sum()
 }
 
 /// Whether a path stands for several files.
 pub(crate) fn is_series(path: &Path) -> bool {
-    path.is_dir() || is_pattern(path)
+    far::is_series(path) || path.is_dir() || is_pattern(path)
 }
 
 /// Whether it is a pattern: a file of that very name goes before.
 fn is_pattern(path: &Path) -> bool {
     let text = path.to_string_lossy();
-    text.contains(['*', '?', '[']) && !text.contains("://") && !path.exists()
+    text.contains(far::WILDCARDS) && !far::is_address(path) && !path.exists()
 }
 
 fn has_ending(path: &Path, endings: &[&str]) -> bool {
@@ -144,7 +157,7 @@ impl<F: FnMut(u64) + Clone + Send + 'static> Series<F> {
             self.clock.begin(&path);
             match open_file(&path, &self.mapping, self.on_bytes.clone()) {
                 Ok(source) => {
-                    self.current = Some((path.display().to_string(), source));
+                    self.current = Some((log_name(&path), source));
                     return Ok(true);
                 }
                 Err(error) => self.leave_out(error)?,

@@ -6,12 +6,14 @@ use std::io::{BufRead, BufReader, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path as FilePath;
 use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread;
 
 use seepd_signals::{Sample, Signal};
 
 use super::*;
-use crate::{LogError, LogMapping};
+use crate::{LogError, LogMapping, logs_of};
 
 const SHORT: Duration = Duration::from_millis(200);
 
@@ -26,6 +28,8 @@ enum Manner {
     Silent,
     /// It closes the connection within each answer.
     Cutting,
+    /// It gives whole files alone, and closes the connection within them.
+    CuttingWhole,
     /// It has another file at each request.
     Replacing,
 }
@@ -71,7 +75,7 @@ fn serve(stream: &TcpStream, file: &[u8], manner: Manner, sent: &AtomicU64) -> O
         let (status, (from, to)) = match (manner, range) {
             (Manner::Denying, _) => ("403 Forbidden", (0, 0)),
             _ if request.split(' ').nth(1)?.split('?').next()? != "/a.log" => ("404 Not Found", (0, 0)),
-            (Manner::WithoutRanges, _) | (_, None) => ("200 OK", (0, file.len())),
+            (Manner::WithoutRanges | Manner::CuttingWhole, _) | (_, None) => ("200 OK", (0, file.len())),
             (_, Some((from, to))) => ("206 Partial Content", (from, to + 1)),
         };
         let is_head = request.starts_with("HEAD");
@@ -89,10 +93,11 @@ fn serve(stream: &TcpStream, file: &[u8], manner: Manner, sent: &AtomicU64) -> O
         if is_head {
             continue;
         }
-        let to = if manner == Manner::Cutting { from + (to - from) / 2 } else { to };
+        let is_cutting = matches!(manner, Manner::Cutting | Manner::CuttingWhole);
+        let to = if is_cutting { from + (to - from) / 2 } else { to };
         out.write_all(&file[from..to]).ok()?;
         sent.fetch_add((to - from) as u64, Ordering::Relaxed);
-        if manner == Manner::Cutting {
+        if is_cutting {
             return None;
         }
     }
@@ -181,6 +186,50 @@ fn other_logs_are_read_once_from_beginning_to_end() {
     }
 }
 
+/// The answer to the first request, for a part, is the whole file too, as far as it is taken.
+#[test]
+fn a_server_that_gives_no_parts_is_asked_for_the_whole_log_once() {
+    let file = mcap_with_pictures(10);
+    let server = Server::start(file.clone(), Manner::WithoutRanges);
+    assert_eq!(samples(FilePath::new(&server.address())).unwrap(), local(&file));
+    let sent = server.sent.load(Ordering::Relaxed);
+    assert!(sent <= 2 * file.len() as u64, "{sent} of {} bytes", file.len());
+}
+
+/// Ended with its test.
+struct PythonsServer(Child);
+
+impl Drop for PythonsServer {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// `python3 -m http.server` gives no parts.
+#[test]
+fn reference_pythons_own_server_gives_the_samples_of_the_file() {
+    let (folder, file) = (tempfile::tempdir().unwrap(), mcap_with_pictures(10));
+    fs::write(folder.path().join("press 1.mcap"), &file).unwrap();
+    let server = Command::new("python3")
+        .args(["-u", "-m", "http.server", "0", "--bind", "127.0.0.1", "--directory"])
+        .arg(folder.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn();
+    let Ok(server) = server else {
+        let _ = writeln!(io::stderr(), "left out: there is no python3");
+        return;
+    };
+    let mut server = PythonsServer(server);
+    let mut line = String::new();
+    BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    // Serving HTTP on 127.0.0.1 port 43121 (http://127.0.0.1:43121/) ...
+    let port = line.split(' ').nth(5).unwrap();
+    let far = samples(FilePath::new(&format!("http://127.0.0.1:{port}/press%201.mcap"))).unwrap();
+    assert_eq!(far, local(&file));
+}
+
 /// Reads all there is.
 fn read(address: &str) -> io::Result<usize> {
     Parts::open(address, SHORT)?.read_to_end(&mut Vec::new())
@@ -201,14 +250,9 @@ fn what_fails_on_the_way_is_one_line_that_says_what_to_do() {
     for (manner, path, kind, expected) in [
         (Manner::Good, "b.log", ErrorKind::NotFound, "there is no such object"),
         (Manner::Denying, "a.log", ErrorKind::PermissionDenied, "access is denied"),
-        (
-            Manner::WithoutRanges,
-            "a.log",
-            ErrorKind::Unsupported,
-            "gives no parts of a file (HTTP ranges); download",
-        ),
         (Manner::Silent, "a.log", ErrorKind::TimedOut, "has not answered for 0.2 s"),
         (Manner::Cutting, "a.log", ErrorKind::UnexpectedEof, "answer is cut short"),
+        (Manner::CuttingWhole, "a.log", ErrorKind::UnexpectedEof, "answer is cut short"),
         (Manner::Replacing, "a.log", ErrorKind::Other, "it was replaced while it was read"),
     ] {
         let (found, text) = line(manner, path);
@@ -232,7 +276,7 @@ fn a_log_may_be_read_within_another_runtime() {
 struct Moto(Child, u16);
 
 impl Moto {
-    /// Starts it with a bucket that has a file; `None`, and a word, where it is not installed.
+    /// Starts it with a bucket that has a file under several names; `None`, and a word, where it is not installed.
     fn start(file: &FilePath) -> Option<Self> {
         let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let put = format!(
@@ -246,7 +290,8 @@ server = make_server('127.0.0.1', {port}, DomainDispatcherApplication(create_bac
 threading.Thread(target=server.serve_forever, daemon=True).start()
 s3 = boto3.client('s3', endpoint_url='http://127.0.0.1:{port}', region_name='us-east-1', aws_access_key_id='key', aws_secret_access_key='word')
 s3.create_bucket(Bucket='plant')
-s3.upload_file(sys.argv[1], 'plant', 'line 1/press.mcap')
+for name in ['press.mcap', 'press_10.mcap', 'press_2.mcap', 'README.md', 'old/press_1.mcap']:
+    s3.upload_file(sys.argv[1], 'plant', 'line 1/' + name)
 print('ready', flush=True)
 sys.stdin.read()
 "
@@ -273,7 +318,7 @@ impl Drop for Moto {
     }
 }
 
-/// Where the file of the next test lies, and how many samples it has; asked of by that test in an environment of its own.
+/// What the file of the next test is under its names; asked by that test in an environment of its own.
 #[test]
 #[ignore = "a part of the test of S3"]
 fn in_the_environment_of_s3() {
@@ -281,6 +326,34 @@ fn in_the_environment_of_s3() {
     assert_eq!(far, local(&mcap_with_pictures(10)));
     let gone = samples(FilePath::new("s3://plant/line 1/none.mcap")).unwrap_err();
     assert_eq!(gone.to_string(), "s3://plant/line 1/none.mcap: there is no such object");
+    for (place, expected) in [
+        ("s3://plant/line 1/", &["line 1/press.mcap", "line 1/press_2.mcap", "line 1/press_10.mcap"][..]),
+        ("s3://plant/line 1/press_*.mcap", &["line 1/press_2.mcap", "line 1/press_10.mcap"]),
+        ("s3://plant/*/press_?.mcap", &["line 1/press_2.mcap"]),
+        ("s3://plant/l*/*/*", &["line 1/old/press_1.mcap"]),
+        ("s3://plant/**/press_1*", &["line 1/old/press_1.mcap", "line 1/press_10.mcap"]),
+    ] {
+        let logs = logs_of(FilePath::new(place)).unwrap();
+        let expected: Vec<String> = expected.iter().map(|key| format!("s3://plant/{key}")).collect();
+        assert_eq!(logs, expected.iter().map(FilePath::new).collect::<Vec<_>>(), "{place}");
+    }
+    for (place, expected) in [
+        ("s3://plant/line 2/", "there is no log of that name"),
+        ("s3://plant/line 1/*.csv", "there is no log of that name"),
+        ("s3://plant/[", "as a pattern"),
+        ("s3://hall/", "the server says: The specified bucket does not exist"),
+    ] {
+        let refused = logs_of(FilePath::new(place)).unwrap_err().to_string();
+        assert!(refused.starts_with(place) && refused.contains(expected), "{refused}");
+    }
+    // One machine's record: its clock goes on from log to log.
+    let mut series =
+        crate::open(FilePath::new("s3://plant/line 1/press_*.mcap"), &LogMapping::default()).unwrap();
+    let mut times = Vec::new();
+    while let Some(sample) = series.next_sample().unwrap() {
+        times.push(sample.time_ns);
+    }
+    assert!(times.len() == 2 * far.len() && times.is_sorted(), "{}", times.len());
 }
 
 #[test]
