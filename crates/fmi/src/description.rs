@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use roxmltree::{Document, Node};
+use roxmltree::{Document, Node, ParsingOptions};
 use thiserror::Error;
 
 /// Why a description is none that can be used.
@@ -112,13 +112,17 @@ pub struct ModelDescription {
 /// Beyond it a bound is a tool's way to say that there is none.
 const NO_BOUND: f64 = 1e60;
 
+/// Nodes of a description at most, which take many times their text's memory: models of 300,000 variables have fewer.
+const MOST_NODES: u32 = 2_000_000;
+
 impl ModelDescription {
     /// Reads a description.
     ///
     /// # Errors
     /// [`DescriptionError`].
     pub fn parse(text: &str) -> Result<Self, DescriptionError> {
-        let document = Document::parse(text)?;
+        let options = ParsingOptions { nodes_limit: MOST_NODES, ..ParsingOptions::default() };
+        let document = Document::parse_with_options(text, options)?;
         let root = document.root_element();
         if root.tag_name().name() != "fmiModelDescription" {
             return Err(DescriptionError::Root(root.tag_name().name().to_owned()));

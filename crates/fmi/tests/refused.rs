@@ -93,3 +93,10 @@ fn descriptions_of_other_kinds() {
     );
     assert!(told(&description("2.0", &huge)).contains("has no valueReference"));
 }
+
+/// An archive makes little of them.
+#[test]
+fn a_description_of_millions_of_nodes_is_refused() {
+    let text = description("2.0", &"<a/>".repeat(2_000_000));
+    assert_eq!(refused(&[("modelDescription.xml", &text)]), "modelDescription.xml: nodes limit reached");
+}
