@@ -385,6 +385,9 @@ struct Fit<'a> {
 fn fitted(mut fits: Vec<Fit>) -> Vec<Fit> {
     for _ in 0..ITERATIONS {
         let mut open: Vec<&mut Fit> = fits.iter_mut().filter(|fit| !fit.is_settled).collect();
+        if open.is_empty() {
+            break;
+        }
         let stepped: Vec<Vec<DVector<f64>>> = open.iter().map(|fit| fit.stepped()).collect();
         let slopes = rests(&open, &stepped);
         let tried: Vec<Vec<DVector<f64>>> =
