@@ -28,7 +28,8 @@ pub struct Spread {
     pub period: f64,
     /// Whether half of the machines meet a contact that nobody knows of.
     pub unknown_contact: bool,
-    /// Whether seals of half of the machines leak more like a gap than like an orifice.
+    /// Whether seals of half of the machines by which intervals are calibrated leak more like a gap than like an orifice. Sizes are learned
+    /// from orifices: an area is that of an orifice.
     pub unknown_seal: bool,
     /// How far the flow gain of a machine's valve may be off at its null, share to either side.
     pub null_deviation: f64,
@@ -51,6 +52,11 @@ impl Default for Spread {
 }
 
 impl Spread {
+    /// The same, of machines whose seals leak as orifices do.
+    pub(crate) fn of_orifices(&self) -> Self {
+        Spread { unknown_seal: false, ..self.clone() }
+    }
+
     /// A machine of the series, without a leak.
     pub(crate) fn machine(&self, spec: &MachineSpec, stream: u64, noise: &mut Noise) -> Observation {
         let mut spec = series::vary(spec, &self.parameters, noise);

@@ -57,7 +57,8 @@ pub struct Conditions {
     pub deadband: (f64, f64),
     /// Whether half of the machines meet a contact that nobody knows of.
     pub unknown_contact: bool,
-    /// Whether seals of half of the machines leak more like a gap than like an orifice.
+    /// Whether seals of half of the machines by which intervals are calibrated leak more like a gap than like an orifice. Sizes are learned
+    /// from orifices: an area is that of an orifice.
     pub unknown_seal: bool,
     /// How far the flow gain of a machine's valve may be off at its null, share to either side.
     pub null_deviation: f64,
@@ -84,6 +85,11 @@ impl Default for Conditions {
 }
 
 impl Conditions {
+    /// The same, of machines whose seals leak as orifices do.
+    fn of_orifices(&self) -> Self {
+        Conditions { unknown_seal: false, ..self.clone() }
+    }
+
     /// A machine of the series.
     pub fn machine(&self, spec: &MachineSpec, noise: &mut Noise) -> Observation {
         let mut observation = Observation {
@@ -205,6 +211,7 @@ struct PairSet<'a> {
     cycles: usize,
     /// Its random streams.
     purpose: u64,
+    conditions: Conditions,
     levels: Levels<'a>,
     /// The leak at a rank of 0 … 1, m².
     leak_at: fn(LeakRange, f64) -> f64,
@@ -214,24 +221,49 @@ impl PairSet<'_> {
     fn learned(settings: &TrainingSettings) -> Self {
         let levels = Levels::Drawn(settings.noise);
         let machines = settings.relative_machines;
-        PairSet { machines, cycles: LEARNED_CYCLES, purpose: purpose::LEARN, levels, leak_at }
+        let conditions = settings.conditions.of_orifices();
+        PairSet { machines, cycles: LEARNED_CYCLES, purpose: purpose::LEARN, conditions, levels, leak_at }
     }
 
     fn calibrating(settings: &TrainingSettings) -> Self {
         let levels = Levels::These(&CALIBRATED_AND_QUIET);
         let machines = settings.calibrated_on;
-        PairSet { machines, cycles: CALIBRATED_CYCLES, purpose: purpose::CALIBRATE, levels, leak_at }
+        let conditions = settings.conditions.clone();
+        PairSet {
+            machines,
+            cycles: CALIBRATED_CYCLES,
+            purpose: purpose::CALIBRATE,
+            conditions,
+            levels,
+            leak_at,
+        }
     }
 
     fn beyond(settings: &TrainingSettings) -> Self {
         let levels = Levels::Drawn(settings.noise);
         let leak_at = LeakRange::beyond_m2;
-        PairSet { machines: BEYOND_MACHINES, cycles: 1, purpose: purpose::BEYOND, levels, leak_at }
+        let conditions = settings.conditions.clone();
+        PairSet {
+            machines: BEYOND_MACHINES,
+            cycles: 1,
+            purpose: purpose::BEYOND,
+            conditions,
+            levels,
+            leak_at,
+        }
     }
 
     fn tested(settings: &TrainingSettings) -> Self {
         let levels = Levels::These(&NOISE_LEVELS);
-        PairSet { machines: settings.tested_on, cycles: 1, purpose: purpose::TEST, levels, leak_at }
+        let conditions = settings.conditions.clone();
+        PairSet {
+            machines: settings.tested_on,
+            cycles: 1,
+            purpose: purpose::TEST,
+            conditions,
+            levels,
+            leak_at,
+        }
     }
 }
 
@@ -250,7 +282,7 @@ impl PairSimulator<'_> {
         portions: &mut Portions,
         tell: &mut dyn FnMut(usize),
     ) -> Result<Vec<Pair>, TrainError> {
-        let &PairSet { machines, cycles, purpose, levels, leak_at } = set;
+        let &PairSet { machines, cycles, purpose, levels, leak_at, .. } = set;
         let per_machine = BASELINE_MOMENTS + cycles;
         let leaks = self.settings.leaks_of(self.spec);
         let mut pairs = Vec::with_capacity(machines * cycles);
@@ -265,7 +297,7 @@ impl PairSimulator<'_> {
                     // Neighbouring machines have leaks far apart: a portion of machines is a sample of all.
                     leak_at(leaks, (rank * SCATTER).fract())
                 };
-                self.days_of((purpose << 32) + machine as u64, cycles, &leak_of, &mut |observation, load| {
+                self.days_of(set, machine, &leak_of, &mut |observation, load| {
                     observations.push(observation);
                     loads.push(load);
                 });
@@ -318,12 +350,12 @@ impl PairSimulator<'_> {
     /// A machine's cycles with their loads: those of its baseline, then others. `leak_of` has the leak of a cycle and a number in 0 … 1.
     fn days_of(
         &self,
-        stream: u64,
-        cycles: usize,
+        PairSet { cycles, purpose, conditions, .. }: &PairSet<'_>,
+        machine: usize,
         leak_of: &dyn Fn(usize, f64) -> f64,
         take: &mut dyn FnMut(Observation, f64),
     ) {
-        let conditions = &self.settings.conditions;
+        let stream = (purpose << 32) + machine as u64;
         let mut noise = Noise::new(self.settings.seed, stream);
         let series = conditions.machine(self.spec, &mut noise);
         let oil_c = |noise: &mut Noise| noise.uniform(conditions.oil_c.0, conditions.oil_c.1);
@@ -852,5 +884,22 @@ fn accuracy_of(
         out_of_distribution: results.iter().filter(|(_, given)| given.out_of_distribution.score > 1.0).count()
             as f64
             / results.len().max(1) as f64,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The comparison with a baseline is learned from orifices alone, and calibrated and tested on seals of every law.
+    #[test]
+    fn the_comparison_is_learned_from_orifices() {
+        let conditions = Conditions { unknown_seal: true, ..Conditions::default() };
+        let settings = TrainingSettings { conditions, ..TrainingSettings::default() };
+        let knows = |set: PairSet<'_>| set.conditions.unknown_seal;
+        assert!(!knows(PairSet::learned(&settings)));
+        for set in [PairSet::calibrating(&settings), PairSet::beyond(&settings), PairSet::tested(&settings)] {
+            assert!(knows(set));
+        }
     }
 }

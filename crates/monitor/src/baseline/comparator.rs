@@ -188,14 +188,16 @@ impl BaselineComparator {
         let causes = model.causes()?.file();
         let leak = cause::named_leak(explained).filter(|_| causes.sizes_leaks);
         let absolute_m2 = absolute_m2.filter(|_| causes.fitted);
-        let middle_sized = |given| {
-            leak.map_or(given, |leak| {
-                cause::middle_sized(leak, &explanation.leak_of_other_law, absolute_m2, given)
-            })
+        let law = &explanation.leak_of_other_law;
+        // The regression of a plant that was fitted to a log is calibrated on leaks of every law: its interval has what is open.
+        let is_open = causes.fitted && law.probability < cause::CERTAIN;
+        let under_any_law = |now: RelativeEstimate, of_mean: &RelativeEstimate| {
+            if is_open { now } else { cause::under_any_law(law, now, of_mean) }
         };
+        let middle_sized =
+            |given| leak.map_or(given, |leak| cause::middle_sized(leak, law, absolute_m2, given));
         if explanation.verdict == ChangeVerdict::Named(Cause::PistonSeal, None) {
-            let sized = cause::under_any_law(&explanation.leak_of_other_law, *plain, &given(&of_mean)?);
-            return Some(middle_sized(sized));
+            return Some(middle_sized(under_any_law(*plain, &given(&of_mean)?)));
         }
         // Beside a leak the other cause must be certain: it would carry the baseline over what nobody knows.
         let (kind, has_leak) = explanation.other.filter(|_| explanation.verdict != ChangeVerdict::Unknown)?;
@@ -212,8 +214,7 @@ impl BaselineComparator {
         let mut present = present;
         without(&mut present);
         without(&mut of_mean);
-        let law = &explanation.leak_of_other_law;
-        let given = cause::under_any_law(law, given(&present)?, &given(&of_mean)?);
+        let given = under_any_law(given(&present)?, &given(&of_mean)?);
         // A machine whose plant is not quite its own has cycles like nothing in training; one of them is no leak beside something.
         let is_sudden = causes.sizes_leaks && explained.agreeing < cause::TOLD_AFTER;
         if has_leak && is_sudden && given.out_of_distribution.score > 1.0 {

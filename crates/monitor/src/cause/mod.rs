@@ -19,7 +19,7 @@ pub const TOLD_AFTER: u64 = 3;
 /// Probability of an explanation that the leak's interval leaves open.
 const LEFT_OPEN: f64 = 0.05;
 /// Probability from which a leak is sized by another law than the estimate has learned.
-const CERTAIN: f64 = 1.0 - LEFT_OPEN;
+pub(crate) const CERTAIN: f64 = 1.0 - LEFT_OPEN;
 /// Standard deviations on either side of an interval of 90 %.
 const Z_90: f64 = 1.645;
 /// Most, and least over 1, that another law makes of a leak: at the pressure differences of strokes and holds, a gap against an orifice.

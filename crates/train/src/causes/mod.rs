@@ -258,10 +258,9 @@ fn learn_from(
             continue;
         }
         let alike = may_be_wrong && curve.kind.cause == Cause::ValveLands;
-        // Estimates of a plant that a log was calibrated to have learned seals of every law, and its holds tell the law. The holds of one that
-        // was not do not: a leak is an orifice's there until another law is certain, and its interval has what other laws make of it.
-        let other_law = curve.other_law && !simulator.settings.fitted;
-        let cell = CellFile { alike, other_law, ..cell(curve, basis, responses, is_calibrated) };
+        // A leak is an orifice's until another law is certain.
+        let cell =
+            CellFile { alike, other_law: curve.other_law, ..cell(curve, basis, responses, is_calibrated) };
         let is_plain = matches!(curve.force, HoldForce::AsDrawn | HoldForce::AsPlanned);
         if curve.kind.cause == Cause::PistonSeal && !curve.other_law && is_plain {
             cells.push(reversed(&cell));
