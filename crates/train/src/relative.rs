@@ -217,53 +217,42 @@ struct PairSet<'a> {
     leak_at: fn(LeakRange, f64) -> f64,
 }
 
-impl PairSet<'_> {
+impl<'a> PairSet<'a> {
+    fn new(
+        settings: &TrainingSettings,
+        machines: usize,
+        cycles: usize,
+        purpose: u64,
+        levels: Levels<'a>,
+    ) -> Self {
+        let conditions = settings.conditions.clone();
+        PairSet { machines, cycles, purpose, conditions, levels, leak_at }
+    }
+
     fn learned(settings: &TrainingSettings) -> Self {
         let levels = Levels::Drawn(settings.noise);
-        let machines = settings.relative_machines;
-        let conditions = settings.conditions.of_orifices();
-        PairSet { machines, cycles: LEARNED_CYCLES, purpose: purpose::LEARN, conditions, levels, leak_at }
+        let set = PairSet::new(settings, settings.relative_machines, LEARNED_CYCLES, purpose::LEARN, levels);
+        PairSet { conditions: settings.conditions.of_orifices(), ..set }
     }
 
     fn calibrating(settings: &TrainingSettings) -> Self {
         let levels = Levels::These(&CALIBRATED_AND_QUIET);
-        let machines = settings.calibrated_on;
-        let conditions = settings.conditions.clone();
-        PairSet {
-            machines,
-            cycles: CALIBRATED_CYCLES,
-            purpose: purpose::CALIBRATE,
-            conditions,
-            levels,
-            leak_at,
-        }
+        PairSet::new(settings, settings.calibrated_on, CALIBRATED_CYCLES, purpose::CALIBRATE, levels)
     }
 
     fn beyond(settings: &TrainingSettings) -> Self {
         let levels = Levels::Drawn(settings.noise);
-        let leak_at = LeakRange::beyond_m2;
-        let conditions = settings.conditions.clone();
-        PairSet {
-            machines: BEYOND_MACHINES,
-            cycles: 1,
-            purpose: purpose::BEYOND,
-            conditions,
-            levels,
-            leak_at,
-        }
+        let set = PairSet::new(settings, BEYOND_MACHINES, 1, purpose::BEYOND, levels);
+        PairSet { leak_at: LeakRange::beyond_m2, ..set }
     }
 
     fn tested(settings: &TrainingSettings) -> Self {
-        let levels = Levels::These(&NOISE_LEVELS);
-        let conditions = settings.conditions.clone();
-        PairSet {
-            machines: settings.tested_on,
-            cycles: 1,
-            purpose: purpose::TEST,
-            conditions,
-            levels,
-            leak_at,
-        }
+        PairSet::new(settings, settings.tested_on, 1, purpose::TEST, Levels::These(&NOISE_LEVELS))
+    }
+
+    /// A machine's random stream.
+    fn stream(&self, machine: usize) -> u64 {
+        (self.purpose << 32) + machine as u64
     }
 }
 
@@ -311,7 +300,7 @@ impl PairSimulator<'_> {
             for (machine, group) in read.chunks(per_machine).enumerate() {
                 let (moments, days) = group.split_at(BASELINE_MOMENTS.min(group.len()));
                 let Some(baseline) = mean_of(moments) else { continue };
-                let stream = (purpose << 32) + (from + machine) as u64;
+                let stream = set.stream(from + machine);
                 for (cycle, present) in days.iter().enumerate() {
                     let at = machine * per_machine + BASELINE_MOMENTS + cycle;
                     let Some(present) = present else { continue };
@@ -350,17 +339,17 @@ impl PairSimulator<'_> {
     /// A machine's cycles with their loads: those of its baseline, then others. `leak_of` has the leak of a cycle and a number in 0 … 1.
     fn days_of(
         &self,
-        PairSet { cycles, purpose, conditions, .. }: &PairSet<'_>,
+        set: &PairSet<'_>,
         machine: usize,
         leak_of: &dyn Fn(usize, f64) -> f64,
         take: &mut dyn FnMut(Observation, f64),
     ) {
-        let stream = (purpose << 32) + machine as u64;
+        let (stream, conditions) = (set.stream(machine), &set.conditions);
         let mut noise = Noise::new(self.settings.seed, stream);
         let series = conditions.machine(self.spec, &mut noise);
         let oil_c = |noise: &mut Noise| noise.uniform(conditions.oil_c.0, conditions.oil_c.1);
         let (begins_c, ends_c) = (oil_c(&mut noise), oil_c(&mut noise));
-        for cycle in 0..BASELINE_MOMENTS + cycles {
+        for cycle in 0..BASELINE_MOMENTS + set.cycles {
             let mut load = 1.0; // The baseline's loads average out.
             let mut today = if let Some(moment) = MOMENTS.get(cycle) {
                 Conditions::on_a_day(&series, load, begins_c + moment * (ends_c - begins_c), 1.0)

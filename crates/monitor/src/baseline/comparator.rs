@@ -189,11 +189,8 @@ impl BaselineComparator {
         let leak = cause::named_leak(explained).filter(|_| causes.sizes_leaks);
         let absolute_m2 = absolute_m2.filter(|_| causes.fitted);
         let law = &explanation.leak_of_other_law;
-        // The regression of a plant that was fitted to a log is calibrated on leaks of every law: its interval has what is open.
-        let is_open = causes.fitted && law.probability < cause::CERTAIN;
-        let under_any_law = |now: RelativeEstimate, of_mean: &RelativeEstimate| {
-            if is_open { now } else { cause::under_any_law(law, now, of_mean) }
-        };
+        // Intervals of a plant that was fitted to a log are calibrated on leaks of every law.
+        let under_any_law = |now, of_mean| cause::under_any_law(law, causes.fitted, now, of_mean);
         let middle_sized =
             |given| leak.map_or(given, |leak| cause::middle_sized(leak, law, absolute_m2, given));
         if explanation.verdict == ChangeVerdict::Named(Cause::PistonSeal, None) {

@@ -19,7 +19,7 @@ pub const TOLD_AFTER: u64 = 3;
 /// Probability of an explanation that the leak's interval leaves open.
 const LEFT_OPEN: f64 = 0.05;
 /// Probability from which a leak is sized by another law than the estimate has learned.
-pub(crate) const CERTAIN: f64 = 1.0 - LEFT_OPEN;
+const CERTAIN: f64 = 1.0 - LEFT_OPEN;
 /// Standard deviations on either side of an interval of 90 %.
 const Z_90: f64 = 1.645;
 /// Most, and least over 1, that another law makes of a leak: at the pressure differences of strokes and holds, a gap against an orifice.
@@ -118,16 +118,18 @@ fn size_by_law(seal: &Candidate, law: &OtherLaw) -> f64 {
 
 /// A leak whose law may be another than the estimate has learned. `of_mean` is the estimate of the mean of cycles that has been explained:
 /// what other laws make of that in the mean holds for the cycle `now`. The size follows another law once that is certain; until then the
-/// interval has what is open.
+/// interval has what is open, or had it from training on where `is_calibrated` on every law.
 pub(crate) fn under_any_law(
     law: &OtherLaw,
+    is_calibrated: bool,
     now: RelativeEstimate,
     of_mean: &RelativeEstimate,
 ) -> RelativeEstimate {
     let OtherLaw { probability, size, deviation } = *law;
     let known = of_mean.estimate;
     let is_like_training = now.out_of_distribution.score <= 1.0 && of_mean.out_of_distribution.score <= 1.0;
-    if probability < LEFT_OPEN || !is_like_training || !(known.value > 0.0 && size > 0.0) {
+    let counts_from = if is_calibrated { CERTAIN } else { LEFT_OPEN };
+    if probability < counts_from || !is_like_training || !(known.value > 0.0 && size > 0.0) {
         return now;
     }
     let square = |value: f64| value * value;
@@ -194,7 +196,8 @@ mod tests {
             [(0.5, 1.0, 0.5 * 0.01 + 0.5 * (0.04 + 0.16)), (1.0, 1.4, 0.04_f64)]
         {
             let law = OtherLaw { probability, size: 1.4e-6, deviation: 0.2e-6 };
-            let given = under_any_law(&law, estimate(2e-6, [1.8e-6, 2.2e-6]), &of_mean);
+            let now = estimate(2e-6, [1.8e-6, 2.2e-6]);
+            let given = under_any_law(&law, false, now, &of_mean);
             assert!((given.estimate.value / (2e-6 * size) - 1.0).abs() < 1e-9, "{}", given.estimate.value);
             let half = Z_90 * variance.sqrt();
             let [low, high] = given.estimate.interval.map(|end| end / 2e-6);
@@ -203,6 +206,10 @@ mod tests {
                 "{low} {high}"
             );
             assert!((given.leak_residual_m2 / (2e-6 * size) - 1.0).abs() < 1e-9);
+            // An interval that every law has calibrated stays until the other one is certain.
+            let calibrated = under_any_law(&law, true, now, &of_mean).estimate.interval;
+            let expected = if probability < 1.0 { now.estimate.interval } else { given.estimate.interval };
+            assert_eq!(calibrated, expected);
         }
     }
 
@@ -234,7 +241,7 @@ mod tests {
         let now = estimate(2e-6, [1.8e-6, 2.2e-6]);
         for probability in [0.0, 0.04] {
             let law = OtherLaw { probability, size: 3e-6, deviation: 1e-7 };
-            assert_eq!(under_any_law(&law, now, &now), now);
+            assert_eq!(under_any_law(&law, false, now, &now), now);
         }
     }
 

@@ -258,9 +258,7 @@ fn learn_from(
             continue;
         }
         let alike = may_be_wrong && curve.kind.cause == Cause::ValveLands;
-        // A leak is an orifice's until another law is certain.
-        let cell =
-            CellFile { alike, other_law: curve.other_law, ..cell(curve, basis, responses, is_calibrated) };
+        let cell = CellFile { alike, ..cell(curve, basis, responses, is_calibrated) };
         let is_plain = matches!(curve.force, HoldForce::AsDrawn | HoldForce::AsPlanned);
         if curve.kind.cause == Cause::PistonSeal && !curve.other_law && is_plain {
             cells.push(reversed(&cell));
@@ -356,7 +354,7 @@ fn cell(curve: &Curve, basis: &Basis, responses: &[Response], is_calibrated: boo
     let error = curve.error(is_calibrated);
     CellFile {
         kind: curve.kind,
-        other_law: false,
+        other_law: curve.other_law,
         alike: false,
         size,
         size_loadings,
