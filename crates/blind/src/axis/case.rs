@@ -26,6 +26,8 @@ const LEAKS: (f64, f64) = (3e-3, 0.15);
 /// First of a ladder of leaks, share of the valve's rated flow, the factor from one to the next, and how many there are.
 const LADDER: (f64, f64) = (2e-3, 1.5);
 const RUNGS: i32 = 9;
+/// Shifts of a valve's null, share of full command, to either side.
+const NULL_SHIFTS: (f64, f64) = (2e-3, 0.02);
 
 /// A machine with its papers and its logs.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,6 +60,9 @@ pub struct LogTruth {
     pub leak: Leak,
     /// The same flow at 70 bar and the working temperature, L/min.
     pub leak_lpm: f64,
+    /// By how much the valve's null is another than in the healthy log, share of full command.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub null_shift: f64,
     /// Oil temperature at the beginning and at the end, °C.
     pub temperature_c: (f64, f64),
     /// Factor on process forces.
@@ -70,8 +75,14 @@ pub struct LogTruth {
     pub seed: u64,
 }
 
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
+}
+
 /// Name of the healthy log that a machine is adopted from.
 pub const HEALTHY: &str = "healthy";
+/// Name of the log with a shifted null.
+const SHIFTED: &str = "later-null";
 
 /// What later logs a case has beside its two or three leaks.
 #[derive(Debug, Clone, Copy, Default)]
@@ -81,6 +92,8 @@ pub struct Later {
     pub ladder: bool,
     /// Duty cycles of the healthy one, in the place of 20 to 30.
     pub healthy_cycles: Option<usize>,
+    /// One more log: the seal healthy and the valve's null shifted, by 0.2 to 2 % of full command.
+    pub null_shift: bool,
 }
 
 /// Draws a case; the same for a seed and a number. None where no decent machine was drawn.
@@ -146,6 +159,7 @@ fn logs(
         let truth = LogTruth {
             leak,
             leak_lpm: leak.flow_m3_per_s * 6e4,
+            null_shift: 0.0,
             temperature_c: (warm_c, warm_c + noise.uniform(-1.5, 1.5)),
             force: noise.factor(0.02),
             beginning,
@@ -160,7 +174,24 @@ fn logs(
         let cycles = cycles.unwrap_or(20 + (index * 7 + healthy_cycles) % 11);
         plan(format!("later-{:02}", index + 1), leak, cycles, Beginning::AtWork);
     }
+    if later.null_shift {
+        logs.insert(SHIFTED.into(), shifted(&logs[HEALTHY], seed));
+    }
     logs
+}
+
+/// A day like the healthy one, after the valve's null has shifted. Drawn apart: every other log stays what it is without it.
+fn shifted(healthy: &LogTruth, seed: u64) -> LogTruth {
+    let mut noise = Noise::new(seed, 3);
+    let size = noise.log_uniform(NULL_SHIFTS.0, NULL_SHIFTS.1);
+    LogTruth {
+        null_shift: if noise.chance(0.5) { size } else { -size },
+        force: noise.factor(0.02),
+        beginning: Beginning::AtWork,
+        cycles: 20 + noise.index(11),
+        seed: seed.wrapping_mul(31).wrapping_sub(1),
+        ..healthy.clone()
+    }
 }
 
 impl Truth {
@@ -175,11 +206,13 @@ impl Truth {
     ) -> Result<bool, E> {
         let timeline =
             Timeline::plan(&self.machine.duty, log.cycles, log.beginning, &mut Noise::new(log.seed, 5));
+        let mut machine = self.machine.clone();
+        machine.valve.null_offset += log.null_shift;
         let day = Day { leak: log.leak, temperature_c: log.temperature_c, force: log.force };
         let mut noise = Noise::new(log.seed, 6);
         let mut written = Ok(());
         let mut text = String::new();
-        let finite = run(&self.machine, &day, &timeline, self.format.nth, |sample| {
+        let finite = run(&machine, &day, &timeline, self.format.nth, |sample| {
             if written.is_ok() {
                 text.clear();
                 self.format.text(sample, &mut noise, &mut text);
@@ -252,9 +285,25 @@ mod tests {
         }
     }
 
+    /// The log with a shifted null is a healthy one of its own, which changes no other log, and the machine works by its shift.
+    #[test]
+    fn a_shifted_null_is_one_more_log_of_a_healthy_seal() {
+        let of = |null_shift| {
+            let later = Later { null_shift, ..Later::default() };
+            draw(3, 1, LoggedSignals::Position, later).unwrap().truth
+        };
+        let (without, mut with) = (of(false), of(true));
+        let shifted = with.logs.remove(SHIFTED).unwrap();
+        assert_eq!(with, without);
+        assert_eq!(shifted.leak, with.logs[HEALTHY].leak);
+        assert!((2e-3..=0.02).contains(&shifted.null_shift.abs()), "{}", shifted.null_shift);
+        let short = LogTruth { cycles: 1, ..shifted };
+        assert_ne!(rows(&with, &short), rows(&with, &LogTruth { null_shift: 0.0, ..short.clone() }));
+    }
+
     #[test]
     fn a_ladder_has_its_rungs_and_a_long_healthy_log_its_cycles() {
-        let later = Later { ladder: true, healthy_cycles: Some(1000) };
+        let later = Later { ladder: true, healthy_cycles: Some(1000), ..Later::default() };
         let truth = draw(3, 1, LoggedSignals::Command, later).unwrap().truth;
         let mut shares: Vec<f64> =
             truth.logs.values().map(|log| log.leak_lpm / truth.rated_flow_lpm).collect();

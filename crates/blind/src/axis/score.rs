@@ -81,6 +81,8 @@ pub struct Scores {
     pub found: [usize; 2],
     /// Healthy cycles, and flags that rose in them.
     pub false_alarms: [usize; 2],
+    /// Logs of a healthy seal whose valve's null has shifted, and those in which a leak was flagged.
+    pub null_shifts: [usize; 2],
     /// Seconds of an adoption: median and largest.
     pub seconds: Option<[f64; 2]>,
     /// The cases one by one.
@@ -124,7 +126,8 @@ pub fn score(cases: &[Answered]) -> Scores {
         .collect();
     let logs = || cases.iter().filter(|case| case.is_adopted()).flat_map(Answered::later_logs);
     let large = || logs().filter(|log| log.share >= SIZED_FROM);
-    let healthy = || logs().filter(|log| log.share <= HEALTHY_UP_TO);
+    let healthy = || logs().filter(LaterLog::is_healthy);
+    let shifted = || logs().filter(LaterLog::has_shifted_null);
     let predicted: Vec<&CaseScore> = by_case.iter().filter(|case| case.smallest[0].is_some()).collect();
     let seconds: Vec<f64> = by_case.iter().map(|case| case.seconds).collect();
     Scores {
@@ -144,6 +147,7 @@ pub fn score(cases: &[Answered]) -> Scores {
             healthy().map(|log| log.cycles.len()).sum(),
             by_case.iter().map(|case| case.false_alarms).sum(),
         ],
+        null_shifts: [shifted().count(), shifted().filter(|log| log.found()).count()],
         seconds: median(&seconds).map(|middle| [middle, seconds.iter().copied().fold(0.0, f64::max)]),
         by_case,
     }
@@ -160,6 +164,14 @@ struct LaterLog<'a> {
 impl LaterLog<'_> {
     fn leaks(&self) -> bool {
         self.share > HEALTHY_UP_TO
+    }
+
+    fn has_shifted_null(&self) -> bool {
+        self.truth.null_shift != 0.0
+    }
+
+    fn is_healthy(&self) -> bool {
+        !self.leaks() && !self.has_shifted_null()
     }
 
     /// Error of the middle estimate, share of the leak.
@@ -223,7 +235,7 @@ impl<'a> Answered<'a> {
                 missed.max_by(f64::total_cmp),
                 found.min_by(f64::total_cmp),
             ],
-            false_alarms: logs.iter().filter(|log| !log.leaks()).map(LaterLog::alarms).sum(),
+            false_alarms: logs.iter().filter(|log| log.is_healthy()).map(LaterLog::alarms).sum(),
             seconds: self.answer.seconds,
         })
     }

@@ -39,6 +39,9 @@ pub(super) struct PlantArguments {
     /// Duty cycles of the later healthy log [default: 20 to 30]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=10_000))]
     healthy_cycles: Option<u16>,
+    /// Plant one more log of each machine, its seal healthy and its valve's null shifted, by 0.2 to 2 % of full command
+    #[arg(long)]
+    null_shift: bool,
 }
 
 /// Which signals the logs have.
@@ -68,7 +71,11 @@ pub(super) fn run(arguments: &PlantArguments) -> Result<Outcome, Failure> {
         begin_folder(folder)?;
     }
     let machines = usize::from(arguments.machines);
-    let later = Later { ladder: arguments.ladder, healthy_cycles: arguments.healthy_cycles.map(usize::from) };
+    let later = Later {
+        ladder: arguments.ladder,
+        healthy_cycles: arguments.healthy_cycles.map(usize::from),
+        null_shift: arguments.null_shift,
+    };
     let steps = Steps::begin(machines as u64, "planting");
     let truths: BTreeMap<String, Truth> = (1..=machines)
         .into_par_iter()

@@ -118,7 +118,7 @@ fn tables(scores: &BTreeMap<&str, Scores>) -> String {
     let percent = |share: Option<f64>| quantity::percent(share.unwrap_or(f64::NAN), 1);
     let of = |[count, all]: [usize; 2]| format!("{count} of {all}");
     type Cell<'a> = &'a dyn Fn(&Scores) -> String;
-    let rows: [(&str, Cell); 9] = [
+    let rows: [(&str, Cell); 10] = [
         ("adopted without an edit", &|s| of([s.adopted, s.cases])),
         ("cycles of the later logs with an estimate", &|s| percent(s.estimated)),
         ("median size error above 1 % of the rated flow", &|s| {
@@ -132,6 +132,9 @@ fn tables(scores: &BTreeMap<&str, Scores>) -> String {
         }),
         ("of these with a leak found and one not", &|s| s.predictions[2].to_string()),
         ("flags that rose in healthy cycles", &|s| of([s.false_alarms[1], s.false_alarms[0]])),
+        ("logs with a shifted null in which a leak was flagged", &|s| {
+            of([s.null_shifts[1], s.null_shifts[0]])
+        }),
         ("seconds of an adoption: median, largest", &|s| {
             s.seconds.map_or("–".into(), |[median, largest]| format!("{median:.0}, {largest:.0}"))
         }),
