@@ -361,6 +361,10 @@ pub struct CausesFile {
     /// all the same.
     #[serde(default, skip_serializing_if = "core::ops::Not::not")]
     pub knows_dead_band: bool,
+    /// Whether a shifted null that answers as a leak does is weighed by its likelihood, and not by what was known beforehand alone: its
+    /// response is exact.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub null_is_exact: bool,
     /// Causes at ranges of sizes.
     pub cells: Vec<CellFile>,
     /// Inputs with the outputs that must come out.

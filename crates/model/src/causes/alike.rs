@@ -4,12 +4,15 @@
 //! leak's is known within its law, so that likelihoods alone would take every such leak for a null and a little leak beside it. What cannot
 //! be told apart is weighed by what was known beforehand, and no part of it is taken off a leak.
 //!
+//! A null by itself may be weighed by its likelihood all the same ([`null_is_exact`](crate::schema::CausesFile::null_is_exact)): that a leak
+//! moves every hold and every stroke by the very same is a coincidence.
+//!
 //! Worn lands of the valve and a worn seal both pass what the pressures at standstill make them pass. Who has a plant only by calibration
 //! knows too little of these pressures to tell the two apart: there training makes them one class, whatever the simulated responses say.
 
 use alloc::vec::Vec;
 
-use super::{Causes, Cell};
+use super::{Cause, Causes, Cell};
 
 /// Variance of the noise at which responses are compared: 0.003 of full command over eight cycles.
 const TYPICAL_VARIANCE: f64 = 0.003 * 0.003 / 8.0;
@@ -29,6 +32,8 @@ impl Causes {
         let alike: Vec<bool> = self.cells.iter().map(is_alike).collect();
         for (cell, is_alike) in self.cells.iter_mut().zip(alike) {
             cell.is_alike |= is_alike;
+            let is_null = self.kinds.get(cell.kind).is_some_and(|kind| kind.cause == Cause::ValveNull);
+            cell.shares_by_priors = cell.is_alike && !(is_null && self.file.null_is_exact);
         }
     }
 
@@ -70,7 +75,7 @@ fn is_leak(cell: &Cell) -> bool {
 }
 
 fn is_other(cell: &Cell) -> bool {
-    cell.is_alike
+    cell.shares_by_priors
 }
 
 fn cosine(a: &[f64], b: &[f64]) -> f64 {
@@ -115,10 +120,14 @@ mod tests {
 
     /// Two phases: a leak answers nearly as a null does, or not at all so; friction parts the phases.
     fn causes(leak: [f64; 4]) -> Causes {
+        Causes::from_file(file(leak)).unwrap()
+    }
+
+    fn file(leak: [f64; 4]) -> CausesFile {
         let numbers = 4;
         let identity: Vec<f64> =
             (0..numbers * numbers).map(|i| f64::from(u8::from(i % (numbers + 1) == 0))).collect();
-        let file = CausesFile {
+        CausesFile {
             basis: identity.clone(),
             inverse: identity,
             ordinary: vec![1e-8; numbers],
@@ -127,13 +136,13 @@ mod tests {
             sizes_leaks: false,
             fitted: false,
             knows_dead_band: false,
+            null_is_exact: false,
             cells: cells(Cause::PistonSeal, SizeUnit::Area, 0.2, leak)
                 .chain(cells(Cause::ValveNull, SizeUnit::Share, 0.01, [1.0, 1.0, 0.0, 0.0]))
                 .chain(cells(Cause::Friction, SizeUnit::Force, 0.2, [1.0, -1.0, 0.0, 0.0]))
                 .collect(),
             golden: Vec::new(),
-        };
-        Causes::from_file(file).unwrap()
+        }
     }
 
     /// A response that a leak and a null have in common is the one's or the other's by what was known beforehand, and nothing is taken off
@@ -159,6 +168,20 @@ mod tests {
         let beside = [0.006 + 0.006, 0.0057 - 0.006, 0.0003, 0.0];
         let explanation = told(&alike, &beside);
         assert_eq!(explanation.verdict, ChangeVerdict::Named(Cause::PistonSeal, Some(Cause::Friction)));
+    }
+
+    /// With an exact null, a change that is the same everywhere is a null, and one that is a leak's within its law, but for a tenth the same
+    /// everywhere, is a leak with nothing beside it.
+    #[test]
+    fn an_exact_null_is_told_from_what_is_nearly_one() {
+        let null_is_exact = CausesFile { null_is_exact: true, ..file([1.0, 0.95, 0.05, 0.0]) };
+        let causes = Causes::from_file(null_is_exact).unwrap();
+        let told = |numbers: &[f64]| causes.explain(&Change { numbers, noise: 3e-5 });
+        let null = told(&[0.006, 0.006, 0.0, 0.0]);
+        assert_eq!(null.verdict, ChangeVerdict::Named(Cause::ValveNull, None));
+        let leak = told(&[0.006, 0.0054, 0.0003, 0.0]);
+        assert_eq!(leak.verdict, ChangeVerdict::Named(Cause::PistonSeal, None));
+        assert!(leak.other.is_none());
     }
 
     #[test]

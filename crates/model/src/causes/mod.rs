@@ -192,6 +192,8 @@ struct Cell {
     is_seal: bool,
     /// Whether it is a cause that this machine's command does not tell from a leak.
     is_alike: bool,
+    /// Whether its weight is shared with the leaks' by what was known beforehand.
+    shares_by_priors: bool,
     /// Whether it is a leak under laws other than an orifice's that the model's estimates have not learned, or its plant does not tell.
     has_other_law: bool,
     size: f64,
@@ -259,6 +261,7 @@ impl Causes {
                 kind,
                 is_seal: cell.kind.cause == Cause::PistonSeal,
                 is_alike: cell.alike && cell.kind.cause != Cause::PistonSeal,
+                shares_by_priors: false,
                 has_other_law: cell.other_law && cell.kind.cause == Cause::PistonSeal,
                 size: cell.size,
                 rest: cell.size_rest,

@@ -274,6 +274,7 @@ fn learn_from(
         sizes_leaks: may_be_wrong,
         fitted: simulator.settings.fitted,
         knows_dead_band: simulator.settings.knows_dead_band,
+        null_is_exact: may_be_wrong,
         cells,
         golden: Vec::new(),
     };
