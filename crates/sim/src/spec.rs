@@ -23,7 +23,7 @@ const OF_A_CONTROLLER: [&str; 5] =
 /// Share by which a value may be beyond its bound and be meant as at it.
 const SAME_BOUND: f64 = 1e-9;
 /// Most steps in a period that are taken unasked.
-const MOST_STEPS: usize = 100;
+const MOST_STEPS: usize = 250;
 
 /// A machine: the content of `plant.toml`. Every table and key has a default, the nominal plant's.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
