@@ -78,6 +78,9 @@ pub struct CylinderData {
     /// Diameter of the rod, mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rod_mm: Option<Datum>,
+    /// Diameter of a second rod on the cap side, mm, of a cylinder whose rod goes through; absent: there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub second_rod_mm: Option<Datum>,
     /// Stroke, mm.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub stroke_mm: Option<Datum>,
@@ -123,6 +126,10 @@ pub struct ValveData {
     /// Overlap: half the width of the dead band, % of full command.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub overlap_percent: Option<Datum>,
+    /// What the edges of the rod side (port B) pass of what those of the cap side pass, %: 50 of a spool that is made for a 2:1 cylinder;
+    /// absent: as much.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rod_side_flow_percent: Option<f64>,
     /// How the flow grows with the command.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub curve: Option<FlowCurve>,

@@ -157,9 +157,11 @@ pub enum DataError {
     },
     /// The rod does not fit the bore.
     #[error(
-        "the rod ({rod_mm} mm) is not thinner than the bore ({bore_mm} mm): are cylinder.rod_mm and cylinder.bore_mm exchanged?"
+        "the rod ({rod_mm} mm) is not thinner than the bore ({bore_mm} mm): are {key} and cylinder.bore_mm exchanged?"
     )]
     Rod {
+        /// Which rod.
+        key: &'static str,
         /// Rod, mm.
         rod_mm: f64,
         /// Bore, mm.
@@ -230,6 +232,7 @@ fn check(data: &MachineData) -> Result<(), DataError> {
     let positive = [
         ("cylinder.bore_mm", data.cylinder.bore_mm),
         ("cylinder.rod_mm", data.cylinder.rod_mm),
+        ("cylinder.second_rod_mm", data.cylinder.second_rod_mm),
         ("cylinder.stroke_mm", data.cylinder.stroke_mm),
         ("cylinder.moved_mass_kg", data.cylinder.moved_mass_kg),
         ("cylinder.hose_bore_mm", data.cylinder.hose_bore_mm),
@@ -256,6 +259,7 @@ fn check(data: &MachineData) -> Result<(), DataError> {
             0.0,
             50.0,
         ),
+        ("valve.rod_side_flow_percent", data.valve.rod_side_flow_percent, 10.0, 200.0),
         ("valve.knee_percent", data.valve.knee_percent, 5.0, 70.0),
         ("controller.ki_per_m_s", data.controller.ki_per_m_s.map(Datum::value), 0.0, 1e6),
         ("controller.kd_s_per_m", data.controller.kd_s_per_m.map(Datum::value), 0.0, 1e6),
@@ -280,10 +284,13 @@ fn check(data: &MachineData) -> Result<(), DataError> {
     {
         return Err(DataError::Outside { key: "valve.flow_at_knee_percent", value: percent, low, high });
     }
-    if let (Some(rod), Some(bore)) = (data.cylinder.rod_mm, data.cylinder.bore_mm)
-        && rod.value() >= bore.value()
-    {
-        return Err(DataError::Rod { rod_mm: rod.value(), bore_mm: bore.value() });
+    let cylinder = &data.cylinder;
+    for (key, rod) in [("cylinder.rod_mm", cylinder.rod_mm), ("cylinder.second_rod_mm", cylinder.second_rod_mm)] {
+        if let (Some(rod), Some(bore)) = (rod, cylinder.bore_mm)
+            && rod.value() >= bore.value()
+        {
+            return Err(DataError::Rod { key, rod_mm: rod.value(), bore_mm: bore.value() });
+        }
     }
     Ok(())
 }
@@ -348,10 +355,10 @@ impl Describer {
         let (rod_mm, rod_origin) = cylinder
             .rod_mm
             .map_or((USUAL_ROD_SHARE * bore_mm, Origin::Default), |rod| (rod.value(), Origin::User));
-        let cap = circle_m2(bore_mm);
-        self.set("cap_area_m2", cap, origin, tolerance);
+        let beside = |rod_mm: f64| circle_m2(bore_mm) - circle_m2(rod_mm.min(0.95 * bore_mm));
+        self.set("cap_area_m2", beside(cylinder.second_rod_mm.map_or(0.0, Datum::value)), origin, tolerance);
         let rod_tolerance = if rod_origin == Origin::User { tolerance } else { 0.15 };
-        self.set("annulus_area_m2", cap - circle_m2(rod_mm.min(0.95 * bore_mm)), rod_origin, rod_tolerance);
+        self.set("annulus_area_m2", beside(rod_mm), rod_origin, rod_tolerance);
         let span = logged.positions_m.map(|(low, high)| high - low);
         match cylinder.stroke_mm {
             Some(stroke) => {
@@ -429,6 +436,10 @@ impl Describer {
                 100.0 * stated,
                 100.0 * half_width
             ));
+        }
+        if let Some(percent) = valve.rod_side_flow_percent {
+            let ratio = BTreeMap::from([("rod_side".to_owned(), percent / 100.0)]);
+            self.spec.effects.insert("valve_port_ratio".into(), ratio);
         }
         if let Some(curve) = flow_curve::stated(valve).filter(|curve| !curve.is_empty()) {
             self.spec.effects.insert(flow_curve::LAW.into(), curve);
@@ -653,6 +664,22 @@ mod tests {
         }
     }
 
+    /// A rod that goes through makes both sides of the piston alike; edges of half the width on the rod side are the plant's law of it.
+    #[test]
+    fn a_rod_that_goes_through_and_a_spool_for_unequal_areas_are_told_by_their_data() {
+        let of = |text: &str| {
+            let logged = LoggedSize { log_period_s: 1e-3, period_s: 10.0, ..LoggedSize::default() };
+            describe(&MachineData::from_toml(text).unwrap(), &logged).unwrap().spec
+        };
+        let through = of("[cylinder]\nbore_mm = 50\nrod_mm = 28\nsecond_rod_mm = 28\n").plant;
+        let ring_m2 = std::f64::consts::FRAC_PI_4 * (0.05_f64.powi(2) - 0.028_f64.powi(2));
+        assert!((through.cap_area_m2 / ring_m2 - 1.0).abs() < 1e-12, "{}", through.cap_area_m2);
+        assert_eq!(through.annulus_area_m2, through.cap_area_m2);
+        let two_to_one = of("[valve]\nrated_flow_lpm = 40\nrod_side_flow_percent = 50\n");
+        assert_eq!(two_to_one.effects["valve_port_ratio"], [("rod_side".to_owned(), 0.5)].into());
+        two_to_one.check().unwrap();
+    }
+
     #[test]
     fn data_that_contradict_themselves_or_the_log_are_refused() {
         let refused = |text: &str, logged: LoggedSize| {
@@ -660,7 +687,9 @@ mod tests {
         };
         let slow = LoggedSize { log_period_s: 1e-3, period_s: 10.0, ..LoggedSize::default() };
         let rod = refused("[cylinder]\nbore_mm = 40\nrod_mm = 63\n", slow);
-        assert!(rod.contains("exchanged"), "{rod}");
+        assert!(rod.contains("cylinder.rod_mm and") && rod.contains("exchanged"), "{rod}");
+        let second = refused("[cylinder]\nbore_mm = 40\nsecond_rod_mm = 63\n", slow);
+        assert!(second.contains("cylinder.second_rod_mm and"), "{second}");
         let longer = LoggedSize { positions_m: Some((0.0, 0.9)), ..slow };
         let stroke = refused("[cylinder]\nstroke_mm = 500\n", longer);
         assert!(stroke.contains("900 mm") && stroke.contains("500"), "{stroke}");

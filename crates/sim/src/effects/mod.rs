@@ -42,6 +42,7 @@ mod valve_flow_shape;
 mod valve_hysteresis;
 mod valve_lag;
 mod valve_overlap;
+mod valve_port_ratio;
 mod valve_rate_limit;
 mod valve_wear;
 
@@ -49,6 +50,7 @@ pub(crate) use valve_curve::ValveCurve;
 pub(crate) use valve_deadband::ValveDeadband;
 pub(crate) use valve_flow_shape::ValveFlowShape;
 pub(crate) use valve_overlap::ValveOverlap;
+pub(crate) use valve_port_ratio::ValvePortRatio;
 
 use crate::controller::Pid;
 use crate::learned;
@@ -94,7 +96,7 @@ pub const ALL: &[&dyn Effect] = &[
 ];
 
 /// Laws of parts as they are bought: a plant file may have them and a calibration fit them; what has changed on a machine is none of them.
-pub const OF_DATA_SHEETS: &[&dyn Effect] = &[&ValveOverlap, &ValveCurve];
+pub const OF_DATA_SHEETS: &[&dyn Effect] = &[&ValveOverlap, &ValveCurve, &ValvePortRatio];
 
 /// Every law that a plant file may have: the catalogue's, in their order, then those of data sheets and those that were learned from a log.
 pub fn every() -> impl Iterator<Item = &'static dyn Effect> {
