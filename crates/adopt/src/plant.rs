@@ -285,7 +285,9 @@ fn check(data: &MachineData) -> Result<(), DataError> {
         return Err(DataError::Outside { key: "valve.flow_at_knee_percent", value: percent, low, high });
     }
     let cylinder = &data.cylinder;
-    for (key, rod) in [("cylinder.rod_mm", cylinder.rod_mm), ("cylinder.second_rod_mm", cylinder.second_rod_mm)] {
+    for (key, rod) in
+        [("cylinder.rod_mm", cylinder.rod_mm), ("cylinder.second_rod_mm", cylinder.second_rod_mm)]
+    {
         if let (Some(rod), Some(bore)) = (rod, cylinder.bore_mm)
             && rod.value() >= bore.value()
         {

@@ -62,6 +62,17 @@ fn unstable_step_is_refused_with_the_steps_that_it_needs() {
     assert!(MachineSpec::from_toml(&text).is_ok());
 }
 
+/// Little oil between pump and valve at a slow task, as `adopt` makes of a small cylinder: what is taken unasked, the file admits.
+#[test]
+fn a_stiff_machine_at_a_slow_task_gets_the_steps_that_its_file_asks_for() {
+    let mut spec = MachineSpec::default();
+    spec.plant.inlet_volume_m3 = 5e-5;
+    spec.controller.period_s = 0.004;
+    let spec = spec.with_stable_steps();
+    assert!(spec.controller.steps_per_period > 100, "{}", spec.controller.steps_per_period);
+    spec.check().unwrap();
+}
+
 /// Numbers that overflow are answered, and soon: the search for eigenvalues ends.
 #[test]
 fn numbers_many_decades_off_are_answered_with_their_key() {

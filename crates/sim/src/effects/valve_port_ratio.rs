@@ -44,9 +44,9 @@ impl Effect for ValvePortRatio {
 #[cfg(test)]
 mod tests {
     use crate::MachineSpec;
+    use crate::Steps;
     use crate::batch::{self, Job};
     use crate::cycle::CycleRun;
-    use crate::Steps;
 
     /// Within what an asymmetry may be, both are the same law.
     #[test]
