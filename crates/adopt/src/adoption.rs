@@ -230,6 +230,11 @@ fn take_what_nobody_gave(controller: &mut Controller, fit: &FittedGains, given: 
         };
         taken(&mut controller.kp, given.kp_per_m, fit.kp);
         taken(&mut controller.ki, given.ki_per_m_s, fit.ki);
+        taken(
+            &mut controller.integral_window_m,
+            given.integral_window_mm.or(given.ki_per_m_s),
+            fit.integral_window_m,
+        );
         taken(&mut controller.kd, given.kd_s_per_m, fit.kd);
         let feed_forward = &mut controller.velocity_feed_forward_s_per_m;
         taken(feed_forward, given.velocity_feed_forward_s_per_m, fit.feed_forward);
@@ -779,6 +784,7 @@ mod tests {
         let fit = FittedGains {
             kp: 108.0,
             ki: 40.0,
+            integral_window_m: 0.0,
             kd: 0.3,
             feed_forward: 2.0,
             compensation: 0.058,

@@ -14,6 +14,8 @@ pub struct FittedGains {
     pub kp: f64,
     /// Integral gain, 1/(m s).
     pub ki: f64,
+    /// Position error below which the integrator works, m; 0: it always works.
+    pub integral_window_m: f64,
     /// Derivative gain on the position, s/m.
     pub kd: f64,
     /// Velocity feed-forward, s/m.
@@ -45,6 +47,14 @@ const LARGEST_JUMP: f64 = 0.3;
 /// Regressions after which a jump fits the commands that it is part of.
 const JUMP_ROUNDS: usize = 5;
 
+/// Windows of the integrator that are tried: shares of the largest error in steps of a factor, and then around the best.
+const WINDOW_STEP: f64 = 0.7;
+const WINDOWS: i32 = 12;
+const AROUND_A_WINDOW: [f64; 4] = [0.85, 0.93, 1.08, 1.17];
+
+/// A window is one where it leaves less than this share of what the best law without one leaves.
+const WINDOW_WORTH: f64 = 0.5;
+
 /// Ticks around an open-loop part that are left out with it: speeds there are of both.
 const BESIDE: usize = 2;
 
@@ -64,26 +74,28 @@ pub fn fit_gains(
     let is_open = |tick: usize| open.iter().any(|part| part.contains(&tick));
     let speed = |values: &[f64], tick: usize| slope(&values[..ticks], tick) / tick_s;
     let errors: Vec<f64> = (0..ticks).map(|tick| demand[tick] - position[tick]).collect();
-    // The integrator stands while the command saturates, and begins anew where position control does.
-    let mut integral = 0.0;
-    let mut integrated = |tick: usize| {
-        if is_open(tick) {
-            integral = 0.0;
-        } else if command[tick].abs() < SATURATED {
-            integral += errors[tick] * tick_s;
+    // The integrator stands while the command saturates and outside its window, and begins anew where position control does.
+    let integrals = |window_m: f64| -> Vec<f64> {
+        let mut integral = 0.0;
+        let mut integrated = |tick: usize| {
+            if is_open(tick) {
+                integral = 0.0;
+            } else if command[tick].abs() < SATURATED && errors[tick].abs() < window_m {
+                integral += errors[tick] * tick_s;
+            }
+            integral
+        };
+        if let Some(last) = open.iter().map(|part| part.start).max() {
+            // What it holds as the cycle begins is from the end of the one before.
+            for tick in last..ticks {
+                integrated(tick);
+            }
         }
-        integral
+        (0..ticks).map(integrated).collect()
     };
-    if let Some(last) = open.iter().map(|part| part.start).max() {
-        // What it holds as the cycle begins is from the end of the one before.
-        for tick in last..ticks {
-            integrated(tick);
-        }
-    }
-    let integrals: Vec<f64> = (0..ticks).map(integrated).collect();
-    let terms: [Vec<f64>; TERMS] = [
-        errors,
-        integrals,
+    let mut terms: [Vec<f64>; TERMS] = [
+        errors.clone(),
+        integrals(f64::MAX),
         (0..ticks).map(|tick| speed(demand, tick)).collect(),
         (0..ticks).map(|tick| -speed(position, tick)).collect(),
         // The jump: found with its size, law by law.
@@ -97,22 +109,70 @@ pub fn fit_gains(
     if used.len() < 50 {
         return None;
     }
-    let worth_of = |left: f64, terms: usize| left.max(DONE) / (1.0 - WORTH).powi(terms as i32);
-    let (chosen, fit) = laws(kind)
-        .filter_map(|law| fitted(&terms, &law, &command[..ticks], &used).map(|fit| (law, fit)))
-        .filter(|(_, fit)| fit.gains.iter().all(|gain| *gain >= 0.0))
-        .min_by(|(a, fit_a), (b, fit_b)| {
-            worth_of(fit_a.left, a.len()).total_cmp(&worth_of(fit_b.left, b.len()))
-        })?;
+    let command = &command[..ticks];
+    let best = best_law(&terms, laws(kind), command, &used);
+    // A window is looked for without a jump, whose fit takes its time.
+    let largest_m = errors.iter().fold(0.0_f64, |largest, error| largest.max(error.abs()));
+    let mut windowed: Option<(f64, f64)> = None;
+    let mut try_window = |window_m: f64, terms: &mut [Vec<f64>; TERMS]| {
+        terms[INTEGRAL] = integrals(window_m);
+        let laws = laws(kind).filter(|law| law.contains(&INTEGRAL) && !law.contains(&JUMP));
+        let worth = best_law(terms, laws, command, &used).map(|law| law.worth());
+        if let Some(worth) = worth.filter(|worth| windowed.is_none_or(|(best, _)| *worth < best)) {
+            windowed = Some((worth, window_m));
+        }
+        windowed.map(|(_, window_m)| window_m)
+    };
+    let mut window_m = 0.0;
+    for step in 1..=WINDOWS {
+        window_m = try_window(largest_m * WINDOW_STEP.powi(step), &mut terms).unwrap_or(window_m);
+    }
+    let coarse_m = window_m;
+    for share in AROUND_A_WINDOW {
+        window_m = try_window(coarse_m * share, &mut terms).unwrap_or(window_m);
+    }
+    terms[INTEGRAL] = integrals(window_m);
+    let within = best_law(&terms, laws(kind).filter(|law| law.contains(&INTEGRAL)), command, &used);
+    let (Law { terms: chosen, fit }, integral_window_m) = match (best, within) {
+        (Some(best), Some(within)) if within.fit.left < WINDOW_WORTH * best.fit.left => (within, window_m),
+        (Some(best), _) => (best, 0.0),
+        (None, within) => (within?, window_m),
+    };
     let gain = |term| chosen.iter().position(|of| *of == term).map_or(0.0, |index| fit.gains[index]);
     (gain(ERROR) > 0.0).then(|| FittedGains {
         kp: gain(ERROR),
         ki: gain(INTEGRAL),
+        integral_window_m,
         feed_forward: gain(FEED_FORWARD),
         kd: gain(BRAKING),
         compensation: gain(JUMP),
         explained: 1.0 - fit.left,
     })
+}
+
+/// A law by its terms, fitted.
+struct Law {
+    terms: Vec<usize>,
+    fit: Fit,
+}
+
+impl Law {
+    /// What it leaves, raised for each of its terms: the smaller, the better.
+    fn worth(&self) -> f64 {
+        self.fit.left.max(DONE) / (1.0 - WORTH).powi(self.terms.len() as i32)
+    }
+}
+
+/// The law that is worth most, of those whose gains have the right sign.
+fn best_law(
+    terms: &[Vec<f64>; TERMS],
+    laws: impl Iterator<Item = Vec<usize>>,
+    command: &[f64],
+    used: &[usize],
+) -> Option<Law> {
+    laws.filter_map(|law| fitted(terms, &law, command, used).map(|fit| Law { terms: law, fit }))
+        .filter(|law| law.fit.gains.iter().all(|gain| *gain >= 0.0))
+        .min_by(|a, b| a.worth().total_cmp(&b.worth()))
 }
 
 /// Every set of terms with the error that a controller of that kind may have, each in the terms' order.
@@ -195,7 +255,7 @@ mod tests {
     const TICK_S: f64 = 0.01;
 
     /// A piston that follows two moves with a lag and creeps in its holds, and what a controller gives for it, without noise.
-    fn logged(law: impl Fn(f64, f64, f64) -> f64) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
+    fn logged(mut law: impl FnMut(f64, f64, f64) -> f64) -> (Vec<f64>, Vec<f64>, Vec<f64>) {
         let mut demand = vec![0.1_f64];
         for tick in 0..2000 {
             let target: f64 = if (300..1200).contains(&tick) { 0.4 } else { 0.1 };
@@ -226,6 +286,26 @@ mod tests {
         let is_near = |found: f64, truth: f64| (found / truth - 1.0).abs() < 0.02;
         assert!(is_near(gains.kp, 60.0) && is_near(gains.compensation, 0.12), "{gains:?}");
         assert!((gains.ki, gains.kd) == (0.0, 0.0) && gains.explained > 0.9999, "{gains:?}");
+    }
+
+    /// An integrator that works near its target only: its gain and its window are found, and without one there is none.
+    #[test]
+    fn an_integrator_that_works_near_its_target_is_found_with_its_window() {
+        let mut integral = 0.0;
+        let mut held = 0.0;
+        let (command, demand, position) = logged(|error, total, speed| {
+            held += if f64::abs(error) < 2e-3 { total - integral } else { 0.0 };
+            integral = total;
+            20.0 * error + 50.0 * held + 1.5 * speed
+        });
+        let gains = fit_gains(&command, &demand, &position, TICK_S, &[], None).unwrap();
+        let is_near = |found: f64, truth: f64, share: f64| (found / truth - 1.0).abs() < share;
+        // Speeds are means of two ticks, which an error that follows them shares.
+        assert!(is_near(gains.kp, 20.0, 0.05) && is_near(gains.ki, 50.0, 0.1), "{gains:?}");
+        assert!(is_near(gains.integral_window_m, 2e-3, 0.2) && gains.compensation == 0.0, "{gains:?}");
+        let (command, demand, position) = logged(|error, integral, _| 20.0 * error + 15.0 * integral);
+        let gains = fit_gains(&command, &demand, &position, TICK_S, &[], None).unwrap();
+        assert_eq!(gains.integral_window_m, 0.0, "{gains:?}");
     }
 
     #[test]

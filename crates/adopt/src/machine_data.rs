@@ -218,6 +218,9 @@ pub struct ControllerData {
     /// Jump of the command around its null that steps over the valve's overlap, % of full command.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub dead_band_compensation_percent: Option<Datum>,
+    /// Position error below which the integrator works, mm; absent: as the log shows.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub integral_window_mm: Option<Datum>,
     /// Period of the controller's task, ms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub task_period_ms: Option<Datum>,

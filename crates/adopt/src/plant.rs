@@ -243,6 +243,7 @@ fn check(data: &MachineData) -> Result<(), DataError> {
         ("oil.density_kg_per_m3", data.oil.density_kg_per_m3),
         ("oil.iso_vg", data.oil.iso_vg.map(Datum::Bare)),
         ("controller.kp_per_m", data.controller.kp_per_m),
+        ("controller.integral_window_mm", data.controller.integral_window_mm),
         ("controller.task_period_ms", data.controller.task_period_ms),
     ];
     for (key, datum) in positive {
@@ -524,6 +525,7 @@ impl Describer {
         c.velocity_feed_forward_s_per_m = given.velocity_feed_forward_s_per_m.map_or(0.0, Datum::value);
         c.dead_band_compensation =
             given.dead_band_compensation_percent.map_or(0.0, |percent| percent.value() / 100.0);
+        c.integral_window_m = given.integral_window_mm.map_or(0.0, |window| window.value() * 1e-3);
         let task_s = given.task_period_ms.map_or(LONGEST_TASK_S, |ms| ms.value() * 1e-3);
         // A loop of 10 1/s does not feel whether its task takes half a millisecond or four; a simulation of a long cycle does.
         let fine_s = (logged.period_s / TICKS).clamp(SHORTEST_TICK_S, LONGEST_TASK_S);

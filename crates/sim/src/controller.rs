@@ -37,6 +37,9 @@ pub struct Controller {
     /// Jump of the command over the valve's dead band, share of full command.
     #[serde(skip_serializing_if = "is_zero")]
     pub dead_band_compensation: f64,
+    /// Position error below which the integrator works, m; it holds what it has beyond. 0: it always works.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub integral_window_m: f64,
     /// Period, s.
     pub period_s: f64,
     /// Periods from one command in the log to the next.
@@ -75,6 +78,7 @@ impl Default for Controller {
             kd: 0.0,
             velocity_feed_forward_s_per_m: 0.0,
             dead_band_compensation: 0.0,
+            integral_window_m: 0.0,
             period_s: 1e-3,
             log_every: 1,
             steps_per_period: 10,
@@ -93,6 +97,11 @@ impl Controller {
         self.period_s * self.log_every as f64
     }
 
+    /// Position error from which on the integrator stands, m.
+    fn integrates_below_m(&self) -> f64 {
+        if self.integral_window_m > 0.0 { self.integral_window_m } else { f64::MAX }
+    }
+
     /// What the control law gave before the jump over the dead band.
     pub fn uncompensated(&self, command: f64) -> f64 {
         uncompensated(command, self.dead_band_compensation)
@@ -100,7 +109,7 @@ impl Controller {
 
     /// What it must have been asked for, m, tick by tick, to give those commands at those positions: the PID law with its feed-forward solved
     /// for the error. What the integrator held at the start is forgotten with Kp/Ki, where the demand came from with the feed-forward over Kp;
-    /// until then, or for three tenths of a cycle of that length, NaN.
+    /// until then, or for three tenths of a cycle of that length, NaN. An integrator with a window forgets within it only.
     pub fn asked_m(&self, command: &[f64], position_m: &[f64], cycle_s: f64) -> Vec<f64> {
         let of_the_integrator_s = if self.ki > 0.0 { self.kp / self.ki } else { 0.0 };
         let of_the_demand_s = self.velocity_feed_forward_s_per_m / self.kp.max(f64::MIN_POSITIVE);
@@ -116,8 +125,12 @@ impl Controller {
             let braking = self.kd * (x - before) / self.period_s;
             let u = self.uncompensated(*u);
             let of_no_error = u - integral + braking - per_step * (x - asked_before);
-            let error = of_no_error / (self.kp + self.ki * self.period_s + per_step).max(f64::MIN_POSITIVE);
-            integral += self.ki * self.period_s * error;
+            let error_with =
+                |ki: f64| of_no_error / (self.kp + ki * self.period_s + per_step).max(f64::MIN_POSITIVE);
+            let integrating = error_with(self.ki);
+            let ki = if integrating.abs() < self.integrates_below_m() { self.ki } else { 0.0 };
+            let error = error_with(ki);
+            integral += ki * self.period_s * error;
             before = *x;
             asked_before = x + error;
             if tick < unsure { f64::NAN } else { asked_before }
@@ -142,7 +155,9 @@ pub(crate) struct Pid<T> {
     /// Command per step of the demand, 1/m.
     feed_forward_per_period: T,
     dead_band_compensation: T,
-    /// Whether there is any of the two in any lane.
+    /// Error from which on the integrator stands, m.
+    integrates_below: T,
+    /// Whether there is any of the three in any lane.
     is_extended: bool,
 }
 
@@ -179,9 +194,12 @@ impl<T: Real> Pid<T> {
             kd_per_period: each(&|c| c.kd / c.period_s),
             feed_forward_per_period: each(&|c| c.velocity_feed_forward_s_per_m / c.period_s),
             dead_band_compensation: each(&|c| c.dead_band_compensation),
-            is_extended: machines
-                .iter()
-                .any(|c| c.velocity_feed_forward_s_per_m != 0.0 || c.dead_band_compensation != 0.0),
+            integrates_below: each(&Controller::integrates_below_m),
+            is_extended: machines.iter().any(|c| {
+                c.velocity_feed_forward_s_per_m != 0.0
+                    || c.dead_band_compensation != 0.0
+                    || c.integral_window_m != 0.0
+            }),
         }
     }
 
@@ -195,7 +213,10 @@ impl<T: Real> Pid<T> {
     pub(crate) fn tick(&self, state: &mut PidState<T>, demand: T, position: T) -> T {
         let one = T::splat(1.0);
         let e = demand - position;
-        let increment = self.ki_period * e;
+        let mut increment = self.ki_period * e;
+        if self.is_extended {
+            increment = (self.integrates_below - e.abs()).where_positive(increment, T::splat(0.0));
+        }
         let integrated = state.integral + increment;
         let mut others = self.kp * e - self.kd_per_period * (position - state.position);
         if self.is_extended {
@@ -254,6 +275,21 @@ mod tests {
         let command = pid.tick(&mut state, 0.1002, 0.1002 - 1e-4);
         assert!((command - (2e-4 + 0.04 * 2e-4 / 0.003)).abs() < 1e-12, "{command}");
         assert!((controller.uncompensated(command) - 2e-4).abs() < 1e-12);
+    }
+
+    /// Far from its target the integrator holds what it has; near it, it goes on.
+    #[test]
+    fn an_integrator_with_a_window_stands_where_the_error_is_larger() {
+        let controller = Controller { kp: 2.0, ki: 100.0, integral_window_m: 1e-3, ..Controller::default() };
+        let pid = Pid::<f64>::new(&[&controller]);
+        let mut state = pid.start(0.1);
+        // 0.5 mm for two ticks of 1 ms: 100 · 0.5 mm · 1 ms each.
+        for ticks in 1..=2 {
+            let command = pid.tick(&mut state, 0.1005, 0.1);
+            assert!((command - (1e-3 + f64::from(ticks) * 5e-5)).abs() < 1e-12, "{command}");
+        }
+        let far = pid.tick(&mut state, 0.105, 0.1);
+        assert!((far - (1e-2 + 1e-4)).abs() < 1e-12, "{far}");
     }
 
     /// The law turned round: along a demand that comes and goes and a position that follows it somehow, the demand is told by command and

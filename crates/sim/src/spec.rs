@@ -18,8 +18,8 @@ use crate::size::Size;
 /// A plant that asks for more steps in a period has a number that is decades off.
 const ABSURD_STEPS: usize = 1_000_000;
 /// Keys of the controller's table that say nothing where there is none.
-const OF_A_CONTROLLER: [&str; 5] =
-    ["kp", "ki", "kd", "velocity_feed_forward_s_per_m", "dead_band_compensation"];
+const OF_A_CONTROLLER: [&str; 6] =
+    ["kp", "ki", "kd", "velocity_feed_forward_s_per_m", "dead_band_compensation", "integral_window_m"];
 /// Share by which a value may be beyond its bound and be meant as at it.
 const SAME_BOUND: f64 = 1e-9;
 /// Most steps in a period that are taken unasked.
@@ -366,6 +366,7 @@ impl MachineSpec {
             ("kd", c.kd, 0.0, 1e6),
             ("velocity_feed_forward_s_per_m", c.velocity_feed_forward_s_per_m, 0.0, 1e3),
             ("dead_band_compensation", c.dead_band_compensation, 0.0, 0.5),
+            ("integral_window_m", c.integral_window_m, 0.0, 1e3),
             ("period_s", c.period_s, 1e-5, 0.1),
             ("log_every", c.log_every as f64, 1.0, 1000.0),
             ("steps_per_period", c.steps_per_period as f64, 1.0, 1000.0),

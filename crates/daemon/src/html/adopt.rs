@@ -124,7 +124,8 @@ impl AdoptPage<'_> {
                     }
                     @for (name, key, value, unit) in [("proportional gain", "kp", c.kp, "1/m"), ("integral gain", "ki", c.ki, "1/(m s)"),
                         ("derivative gain", "kd", c.kd, "s/m"), ("velocity feed-forward", "velocity_feed_forward_s_per_m", c.velocity_feed_forward_s_per_m, "s/m"),
-                        ("jump over the dead band", "dead_band_compensation", c.dead_band_compensation, "of full command")] { tr {
+                        ("jump over the dead band", "dead_band_compensation", c.dead_band_compensation, "of full command"),
+                        ("the integrator works below an error of", "integral_window_m", c.integral_window_m, "m")] { tr {
                         td { "Controller: " (name) } td { (number(value)) " " (unit) } td {} td.soft { "controller." (key) }
                     } }
                     @for (effect, values) in &self.plant.effects { @for (name, value) in values { tr {

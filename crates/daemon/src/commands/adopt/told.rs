@@ -102,8 +102,12 @@ pub(super) fn machine(adoption: &Adoption) {
     };
     say(format_args!("Machine: {demand}"));
     if let Some(gains) = &adoption.gains {
+        let window = match gains.integral_window_m {
+            window_m if window_m > 0.0 => format!(" within ±{:.2} mm", 1e3 * window_m),
+            _ => String::new(),
+        };
         say(format_args!(
-            "  controller read off the log: Kp {:.4} 1/m, Ki {:.4} 1/(m s), Kd {:.4} s/m, feed-forward {:.4} s/m, dead-band jump {:.1} %",
+            "  controller read off the log: Kp {:.4} 1/m, Ki {:.4} 1/(m s){window}, Kd {:.4} s/m, feed-forward {:.4} s/m, dead-band jump {:.1} %",
             gains.kp,
             gains.ki,
             gains.kd,
