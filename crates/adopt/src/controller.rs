@@ -71,31 +71,13 @@ pub fn fit_gains(
     kind: Option<ControllerKind>,
 ) -> Option<FittedGains> {
     let ticks = command.len().min(demand.len()).min(position.len());
-    let is_open = |tick: usize| open.iter().any(|part| part.contains(&tick));
     let speed = |values: &[f64], tick: usize| slope(&values[..ticks], tick) / tick_s;
     let errors: Vec<f64> = (0..ticks).map(|tick| demand[tick] - position[tick]).collect();
-    // The integrator stands while the command saturates and outside its window, and begins anew where position control does.
-    let integrals = |window_m: f64| -> Vec<f64> {
-        let mut integral = 0.0;
-        let mut integrated = |tick: usize| {
-            if is_open(tick) {
-                integral = 0.0;
-            } else if command[tick].abs() < SATURATED && errors[tick].abs() < window_m {
-                integral += errors[tick] * tick_s;
-            }
-            integral
-        };
-        if let Some(last) = open.iter().map(|part| part.start).max() {
-            // What it holds as the cycle begins is from the end of the one before.
-            for tick in last..ticks {
-                integrated(tick);
-            }
-        }
-        (0..ticks).map(integrated).collect()
-    };
-    let mut terms: [Vec<f64>; TERMS] = [
+    let command = &command[..ticks];
+    let integrator = Integrator { command, errors: &errors, open, tick_s };
+    let terms: Terms = [
         errors.clone(),
-        integrals(f64::MAX),
+        integrator.within(f64::MAX),
         (0..ticks).map(|tick| speed(demand, tick)).collect(),
         (0..ticks).map(|tick| -speed(position, tick)).collect(),
         // The jump: found with its size, law by law.
@@ -109,34 +91,14 @@ pub fn fit_gains(
     if used.len() < 50 {
         return None;
     }
-    let command = &command[..ticks];
-    let best = best_law(&terms, laws(kind), command, &used);
-    // A window is looked for without a jump, whose fit takes its time.
-    let largest_m = errors.iter().fold(0.0_f64, |largest, error| largest.max(error.abs()));
-    let mut windowed: Option<(f64, f64)> = None;
-    let mut try_window = |window_m: f64, terms: &mut [Vec<f64>; TERMS]| {
-        terms[INTEGRAL] = integrals(window_m);
-        let laws = laws(kind).filter(|law| law.contains(&INTEGRAL) && !law.contains(&JUMP));
-        let worth = best_law(terms, laws, command, &used).map(|law| law.worth());
-        if let Some(worth) = worth.filter(|worth| windowed.is_none_or(|(best, _)| *worth < best)) {
-            windowed = Some((worth, window_m));
+    let without = best_law(&terms, laws(kind), command, &used);
+    let within = best_window(&integrator, terms, kind, &used);
+    let (Law { terms: chosen, fit }, integral_window_m) = match (without, within) {
+        (Some(without), Some((within, window_m))) if within.fit.left < WINDOW_WORTH * without.fit.left => {
+            (within, window_m)
         }
-        windowed.map(|(_, window_m)| window_m)
-    };
-    let mut window_m = 0.0;
-    for step in 1..=WINDOWS {
-        window_m = try_window(largest_m * WINDOW_STEP.powi(step), &mut terms).unwrap_or(window_m);
-    }
-    let coarse_m = window_m;
-    for share in AROUND_A_WINDOW {
-        window_m = try_window(coarse_m * share, &mut terms).unwrap_or(window_m);
-    }
-    terms[INTEGRAL] = integrals(window_m);
-    let within = best_law(&terms, laws(kind).filter(|law| law.contains(&INTEGRAL)), command, &used);
-    let (Law { terms: chosen, fit }, integral_window_m) = match (best, within) {
-        (Some(best), Some(within)) if within.fit.left < WINDOW_WORTH * best.fit.left => (within, window_m),
-        (Some(best), _) => (best, 0.0),
-        (None, within) => (within?, window_m),
+        (Some(without), _) => (without, 0.0),
+        (None, within) => within?,
     };
     let gain = |term| chosen.iter().position(|of| *of == term).map_or(0.0, |index| fit.gains[index]);
     (gain(ERROR) > 0.0).then(|| FittedGains {
@@ -148,6 +110,73 @@ pub fn fit_gains(
         compensation: gain(JUMP),
         explained: 1.0 - fit.left,
     })
+}
+
+/// What the terms of a law are, tick by tick.
+type Terms = [Vec<f64>; TERMS];
+
+/// What an integrator has seen.
+struct Integrator<'a> {
+    command: &'a [f64],
+    errors: &'a [f64],
+    open: &'a [Range<usize>],
+    tick_s: f64,
+}
+
+impl Integrator<'_> {
+    /// The integral tick by tick. It stands while the command saturates and where the error is beyond a window, and begins anew where
+    /// position control does.
+    fn within(&self, window_m: f64) -> Vec<f64> {
+        let ticks = self.errors.len();
+        let mut integral = 0.0;
+        let mut integrated = |tick: usize| {
+            if self.open.iter().any(|part| part.contains(&tick)) {
+                integral = 0.0;
+            } else if self.command[tick].abs() < SATURATED && self.errors[tick].abs() < window_m {
+                integral += self.errors[tick] * self.tick_s;
+            }
+            integral
+        };
+        if let Some(last) = self.open.iter().map(|part| part.start).max() {
+            // What it holds as the cycle begins is from the end of the one before.
+            for tick in last..ticks {
+                integrated(tick);
+            }
+        }
+        (0..ticks).map(integrated).collect()
+    }
+}
+
+/// The best law with an integrator that works within a window, and the window, m. It is looked for without a jump, whose fit takes its time.
+fn best_window(
+    integrator: &Integrator<'_>,
+    mut terms: Terms,
+    kind: Option<ControllerKind>,
+    used: &[usize],
+) -> Option<(Law, f64)> {
+    let integrating = || laws(kind).filter(|law| law.contains(&INTEGRAL));
+    let largest_m = integrator.errors.iter().fold(0.0_f64, |largest, error| largest.max(error.abs()));
+    let mut best: Option<(f64, f64)> = None;
+    let mut try_window = |window_m: f64| {
+        terms[INTEGRAL] = integrator.within(window_m);
+        let plain = integrating().filter(|law| !law.contains(&JUMP));
+        let worth = best_law(&terms, plain, integrator.command, used).map(|law| law.worth());
+        if let Some(worth) = worth.filter(|worth| best.is_none_or(|(least, _)| *worth < least)) {
+            best = Some((worth, window_m));
+        }
+        best
+    };
+    let mut coarse = None;
+    for step in 1..=WINDOWS {
+        coarse = try_window(largest_m * WINDOW_STEP.powi(step));
+    }
+    let (_, coarse_m) = coarse?;
+    for share in AROUND_A_WINDOW {
+        try_window(coarse_m * share);
+    }
+    let (_, window_m) = best?;
+    terms[INTEGRAL] = integrator.within(window_m);
+    Some((best_law(&terms, integrating(), integrator.command, used)?, window_m))
 }
 
 /// A law by its terms, fitted.
@@ -165,7 +194,7 @@ impl Law {
 
 /// The law that is worth most, of those whose gains have the right sign.
 fn best_law(
-    terms: &[Vec<f64>; TERMS],
+    terms: &Terms,
     laws: impl Iterator<Item = Vec<usize>>,
     command: &[f64],
     used: &[usize],
@@ -202,7 +231,7 @@ struct Fit {
 
 /// The gains of a law and what they leave. A jump is part of the command that tells where it is: both are found in turns, for each way that
 /// controllers let it grow; what counts is how well the law explains what it gave before the jump.
-fn fitted(terms: &[Vec<f64>; TERMS], law: &[usize], command: &[f64], used: &[usize]) -> Option<Fit> {
+fn fitted(terms: &Terms, law: &[usize], command: &[f64], used: &[usize]) -> Option<Fit> {
     let Some((JUMP, rest_of_law)) = law.split_last().map(|(last, others)| (*last, others)) else {
         return regressed(terms, law, command, used);
     };
@@ -232,7 +261,7 @@ fn without_jump(command: &[f64], jump: f64, grows_over: f64) -> Vec<f64> {
 }
 
 /// Least squares of the command on some terms and a constant.
-fn regressed(terms: &[Vec<f64>; TERMS], chosen: &[usize], command: &[f64], used: &[usize]) -> Option<Fit> {
+fn regressed(terms: &Terms, chosen: &[usize], command: &[f64], used: &[usize]) -> Option<Fit> {
     let columns = chosen.len() + 1;
     let matrix = DMatrix::from_fn(used.len(), columns, |row, column| {
         chosen.get(column).map_or(1.0, |term| terms[*term][used[row]])
