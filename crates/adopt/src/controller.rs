@@ -156,25 +156,16 @@ fn best_window(
 ) -> Option<(Law, f64)> {
     let integrating = || laws(kind).filter(|law| law.contains(&INTEGRAL));
     let largest_m = integrator.errors.iter().fold(0.0_f64, |largest, error| largest.max(error.abs()));
-    let mut best: Option<(f64, f64)> = None;
-    let mut try_window = |window_m: f64| {
+    let mut tried = |window_m: f64| -> Option<(f64, f64)> {
         terms[INTEGRAL] = integrator.within(window_m);
         let plain = integrating().filter(|law| !law.contains(&JUMP));
-        let worth = best_law(&terms, plain, integrator.command, used).map(|law| law.worth());
-        if let Some(worth) = worth.filter(|worth| best.is_none_or(|(least, _)| *worth < least)) {
-            best = Some((worth, window_m));
-        }
-        best
+        Some((best_law(&terms, plain, integrator.command, used)?.worth(), window_m))
     };
-    let mut coarse = None;
-    for step in 1..=WINDOWS {
-        coarse = try_window(largest_m * WINDOW_STEP.powi(step));
-    }
-    let (_, coarse_m) = coarse?;
-    for share in AROUND_A_WINDOW {
-        try_window(coarse_m * share);
-    }
-    let (_, window_m) = best?;
+    let by_worth = |(a, _): &(f64, f64), (b, _): &(f64, f64)| a.total_cmp(b);
+    let steps = (1..=WINDOWS).map(|step| largest_m * WINDOW_STEP.powi(step));
+    let coarse = steps.filter_map(&mut tried).min_by(by_worth)?;
+    let around = AROUND_A_WINDOW.into_iter().filter_map(|share| tried(coarse.1 * share));
+    let (_, window_m) = std::iter::once(coarse).chain(around).min_by(by_worth)?;
     terms[INTEGRAL] = integrator.within(window_m);
     Some((best_law(&terms, integrating(), integrator.command, used)?, window_m))
 }

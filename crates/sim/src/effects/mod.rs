@@ -50,7 +50,6 @@ pub(crate) use valve_curve::ValveCurve;
 pub(crate) use valve_deadband::ValveDeadband;
 pub(crate) use valve_flow_shape::ValveFlowShape;
 pub(crate) use valve_overlap::ValveOverlap;
-pub(crate) use valve_port_ratio::ValvePortRatio;
 
 use crate::controller::Pid;
 use crate::learned;
@@ -96,7 +95,7 @@ pub const ALL: &[&dyn Effect] = &[
 ];
 
 /// Laws of parts as they are bought: a plant file may have them and a calibration fit them; what has changed on a machine is none of them.
-pub const OF_DATA_SHEETS: &[&dyn Effect] = &[&ValveOverlap, &ValveCurve, &ValvePortRatio];
+pub const OF_DATA_SHEETS: &[&dyn Effect] = &[&ValveOverlap, &ValveCurve, &valve_port_ratio::ValvePortRatio];
 
 /// Every law that a plant file may have: the catalogue's, in their order, then those of data sheets and those that were learned from a log.
 pub fn every() -> impl Iterator<Item = &'static dyn Effect> {

@@ -4,7 +4,7 @@ use super::{Effect, EffectInfo, Equation, Law, Moment, Openings, Parameter, buil
 use crate::real::Real;
 
 /// See the [module](self).
-pub(crate) struct ValvePortRatio;
+pub(super) struct ValvePortRatio;
 
 /// Both edges of the rod side over those of the cap side.
 struct RodSide<T>(T);
