@@ -105,6 +105,13 @@ impl AdoptPage<'_> {
             format!("{}, within ± {:.0} %", value.origin.words(), 100.0 * value.tolerance)
         };
         let c = &self.plant.controller;
+        // An integrator that always works has none.
+        let window = (c.integral_window_m > 0.0).then_some((
+            "window of the integrator",
+            "integral_window_m",
+            1e3 * c.integral_window_m,
+            "mm",
+        ));
         html! {
             @if let Some(described) = self.described {
                 @for remark in &described.adoption.remarks { p { (sentence(remark)) } }
@@ -124,8 +131,7 @@ impl AdoptPage<'_> {
                     }
                     @for (name, key, value, unit) in [("proportional gain", "kp", c.kp, "1/m"), ("integral gain", "ki", c.ki, "1/(m s)"),
                         ("derivative gain", "kd", c.kd, "s/m"), ("velocity feed-forward", "velocity_feed_forward_s_per_m", c.velocity_feed_forward_s_per_m, "s/m"),
-                        ("jump over the dead band", "dead_band_compensation", c.dead_band_compensation, "of full command"),
-                        ("the integrator works below an error of", "integral_window_m", c.integral_window_m, "m")] { tr {
+                        ("jump over the dead band", "dead_band_compensation", c.dead_band_compensation, "of full command")].into_iter().chain(window) { tr {
                         td { "Controller: " (name) } td { (number(value)) " " (unit) } td {} td.soft { "controller." (key) }
                     } }
                     @for (effect, values) in &self.plant.effects { @for (name, value) in values { tr {
