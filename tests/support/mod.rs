@@ -125,12 +125,13 @@ pub(crate) fn mcap_of(options: mcap::WriteOptions, commands: impl IntoIterator<I
     bytes.into_inner()
 }
 
-/// Python with this package, if it is here.
-pub(crate) fn python(package: &str) -> Option<Command> {
-    let check = Command::new("python3").args(["-c", &format!("import {package}")]).output();
+/// Python with these packages, if they are here. They are looked for, not loaded: some take seconds.
+pub(crate) fn python(packages: &str) -> Option<Command> {
+    const LOOK: &str = "import importlib.util as u, sys; sys.exit(any(not u.find_spec(p.strip()) for p in sys.argv[1].split(',')))";
+    let check = Command::new("python3").args(["-c", LOOK, packages]).output();
     let here = check.is_ok_and(|output| output.status.success());
     if !here {
-        let _ = writeln!(std::io::stderr(), "skipped: no Python with the package {package}");
+        let _ = writeln!(std::io::stderr(), "skipped: no Python with the package {packages}");
     }
     here.then(|| Command::new("python3"))
 }
