@@ -334,7 +334,8 @@ pub struct RelativeGolden {
 /// ordinary)` a cell's likelihood is normal about `w·mean`, with covariance `1 + error² |w·z|²/n` in each of the n coordinates, and that of
 /// its directions. Means of two cells add, and so do their errors, that of the seal then of its own `|w·mean|² + Σ |w·direction|²`, that of
 /// the other of what the seal's mean leaves of `w·z`. An error of 0.2 and more is that of a law that nobody has simulated: the likelihood
-/// is the mean of that with it and of that with `error² − 0.2² + 0.05²`.
+/// is the mean of that with it and of that with `error² − 0.2² + 0.05²`. Where [`errors_are_even`](Self::errors_are_even), the weights are
+/// `w = 1/√(σ² + ordinary + e²)` with `e² = error² |z|²/n`, the covariance 1 and that of the directions, and lengths those without weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CausesFile {
@@ -365,6 +366,9 @@ pub struct CausesFile {
     /// response is exact.
     #[serde(default, skip_serializing_if = "core::ops::Not::not")]
     pub null_is_exact: bool,
+    /// Whether laws' errors are as large in each coordinate of noise, and not in units of noise and ordinary variation.
+    #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+    pub errors_are_even: bool,
     /// Causes at ranges of sizes.
     pub cells: Vec<CellFile>,
     /// Inputs with the outputs that must come out.

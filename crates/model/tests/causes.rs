@@ -35,6 +35,7 @@ fn file() -> CausesFile {
         fitted: false,
         knows_dead_band: false,
         null_is_exact: false,
+        errors_are_even: false,
         cells: vec![
             cell(Cause::PistonSeal, SizeUnit::Area, 2e-7, [-0.004, 0.004, 0.0, 0.0]),
             cell(Cause::ValveNull, SizeUnit::Share, 0.01, null),

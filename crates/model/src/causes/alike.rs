@@ -137,6 +137,7 @@ mod tests {
             fitted: false,
             knows_dead_band: false,
             null_is_exact: false,
+            errors_are_even: false,
             cells: cells(Cause::PistonSeal, SizeUnit::Area, 0.2, leak)
                 .chain(cells(Cause::ValveNull, SizeUnit::Share, 0.01, [1.0, 1.0, 0.0, 0.0]))
                 .chain(cells(Cause::Friction, SizeUnit::Force, 0.2, [1.0, -1.0, 0.0, 0.0]))

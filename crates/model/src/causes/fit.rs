@@ -60,6 +60,19 @@ pub(super) struct Fit {
 }
 
 impl Fit {
+    /// Of a cause that follows any law, as this one, or one that training has simulated, half of all each: the likelier says the sizes.
+    pub(super) fn or(self, simulated: Fit) -> Fit {
+        let is_simulated = simulated.log_likelihood > self.log_likelihood;
+        let (likelier, other) = if is_simulated { (simulated, self) } else { (self, simulated) };
+        let both = 0.5 * (1.0 + libm::exp(other.log_likelihood - likelier.log_likelihood));
+        Fit { log_likelihood: likelier.log_likelihood + libm::log(both), distance: self.distance, ..likelier }
+    }
+
+    /// The fit of a change in units whose covariance has this logarithm of a determinant.
+    pub(super) fn in_units_of(self, log_determinant: f64) -> Fit {
+        Fit { log_likelihood: self.log_likelihood - 0.5 * log_determinant, ..self }
+    }
+
     /// Where along each direction the change lies, standard deviations: those of the first cell, then those of the second.
     pub(super) fn along(&self) -> [f64; MOST_DIRECTIONS] {
         let mut along = self.forward;
@@ -166,7 +179,12 @@ impl Causes {
 
     /// Fits the sum of some cells, none, one or two.
     pub(super) fn fit<const N: usize>(&self, whitened: &Whitened<N>, cells: &[&Cell]) -> Fit {
-        self.lay(whitened, cells).moments.fit(whitened.count)
+        let evenly = || self.fit_evenly_from(whitened, cells, f64::NEG_INFINITY);
+        self.file
+            .errors_are_even
+            .then(evenly)
+            .flatten()
+            .unwrap_or_else(|| self.lay(whitened, cells).moments.fit(whitened.count))
     }
 
     /// Lays cells beside a change.
@@ -237,6 +255,31 @@ impl<const N: usize> Laid<N> {
     }
 }
 
+/// A leak of any size, beside which other causes are tried.
+pub(super) struct AnyLeak<'c, const N: usize> {
+    /// Responses of a small one and one of a middle size.
+    pub(super) means: [&'c [f64]; 2],
+    /// Directions of length 1, at right angles, that span them.
+    pub(super) directions: [[f64; N]; 2],
+    /// Squared length of what its law may leave.
+    pub(super) error: f64,
+    /// Squared length of the change beside the directions.
+    pub(super) left: f64,
+}
+
+impl<const N: usize> AnyLeak<'_, N> {
+    /// Variance that its law and that of a cell beside it leave each of so many coordinates: any law, and one that training has simulated.
+    pub(super) fn variances_beside(&self, cell: &Cell, count: usize) -> [f64; 2] {
+        let own = [cell.error * cell.error, cell.simulated_error_squared()];
+        own.map(|own| (self.error + own * self.left) / count as f64)
+    }
+
+    /// What a fit needs of a cell beside it.
+    pub(super) fn moments_beside(&self, laid: &Laid<N>, cell: &Cell, count: usize) -> Moments {
+        laid.beside(&self.directions, self.variances_beside(cell, count).map(|variance| 1.0 + variance))
+    }
+}
+
 /// Error of a response, over its length, that cells have for laws that nobody has simulated.
 pub const UNKNOWN_LAW_ERROR: f64 = 0.2;
 /// What of it is left where a law has been.
@@ -269,8 +312,7 @@ pub(super) struct Moments {
 }
 
 impl Moments {
-    /// Fits, in so many coordinates: half of all causes follow a law that training has simulated, half another. The likelier of both says
-    /// the sizes.
+    /// Fits, in so many coordinates, under any law or one that training has simulated.
     pub(super) fn fit(&self, n: usize) -> Fit {
         self.fit_beside(n, &self.projected(self.scale))
     }
@@ -285,14 +327,12 @@ impl Moments {
     /// Fits, given what the change is under any law.
     fn fit_beside(&self, n: usize, any: &Projected) -> Fit {
         let any = any.fit(n, self.rank);
-        if self.simulated >= self.scale {
-            return any;
-        }
-        let simulated = self.projected(self.simulated).fit(n, self.rank);
-        let (likelier, other) =
-            if simulated.log_likelihood > any.log_likelihood { (simulated, any) } else { (any, simulated) };
-        let both = 0.5 * (1.0 + libm::exp(other.log_likelihood - likelier.log_likelihood));
-        Fit { log_likelihood: likelier.log_likelihood + libm::log(both), distance: any.distance, ..likelier }
+        if self.simulated < self.scale { any.or(self.fit_under_one(n, self.simulated)) } else { any }
+    }
+
+    /// Fits where the directions leave a variance.
+    pub(super) fn fit_under_one(&self, n: usize, scale: f64) -> Fit {
+        self.projected(scale).fit(n, self.rank)
     }
 
     fn projected(&self, scale: f64) -> Projected {

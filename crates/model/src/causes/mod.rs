@@ -7,6 +7,7 @@
 
 mod alike;
 mod bound;
+mod even;
 mod fit;
 mod sizes;
 mod verdict;

@@ -1,6 +1,6 @@
 //! From likelihoods to a verdict: posterior probabilities of causes, with sizes, and what the other cause does to the phases' means.
 
-use super::fit::{Fit, Whitened};
+use super::fit::{AnyLeak, Fit, Whitened};
 use super::sizes::Cut;
 use super::{
     Cause, Causes, Cell, Change, Kind, MAX_CELLS, MAX_KINDS, MAX_NUMBERS, PRIOR_NONE, Side, SizeUnit,
@@ -124,17 +124,6 @@ impl Tried {
     }
 }
 
-/// A leak of any size, beside which other causes are tried.
-#[derive(Clone, Copy)]
-struct AnyLeak<const N: usize> {
-    /// Directions of length 1, at right angles, that span its response.
-    directions: [[f64; N]; 2],
-    /// Squared length of what its law may leave.
-    error: f64,
-    /// Squared length of the change beside the directions.
-    left: f64,
-}
-
 /// Sums over the hypotheses with a kind.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
@@ -234,21 +223,28 @@ impl<'c, const N: usize> Weighed<'c, N> {
         let mut tried = Tried::NONE;
         let leak = weighed.any_leak();
         let (of_leak, shared) = (causes.leak_prior(), causes.shares_by_priors());
+        let is_even = causes.file.errors_are_even;
         for (index, (cell, [prior, beside])) in causes.cells.iter().zip(&causes.priors).enumerate() {
-            let laid = causes.lay(&weighed.whitened, &[cell]);
+            let laid = (!is_even).then(|| causes.lay(&weighed.whitened, &[cell]));
             let count = weighed.whitened.count;
             // What is shared by priors counts whatever it has.
             let least = if shared { f64::NEG_INFINITY } else { best + NEGLIGIBLE - prior };
-            if let Some(fit) = laid.moments.fit_from(count, least) {
+            let fit = match &laid {
+                Some(laid) => laid.moments.fit_from(count, least),
+                None => causes.fit_evenly_from(&weighed.whitened, &[cell], least),
+            };
+            if let Some(fit) = fit {
                 let weight = weight(*prior, &fit, &[cell], best);
                 weighed.alone[index] = weight;
                 weighed.note(&mut best, weight, &fit);
             }
-            if let Some(AnyLeak { directions, error, left }) = leak.filter(|_| causes.adds_to_a_leak(cell)) {
-                let scales = [cell.error * cell.error, cell.simulated_error_squared()]
-                    .map(|own| 1.0 + (error + own * left) / count as f64);
+            if let Some(leak) = leak.as_ref().filter(|_| causes.adds_to_a_leak(cell)) {
                 let least = best + WORTH_TRYING - of_leak - beside;
-                if let Some(fit) = laid.beside(&directions, scales).fit_from(count, least) {
+                let fit = match &laid {
+                    Some(laid) => leak.moments_beside(laid, cell, count).fit_from(count, least),
+                    None => causes.fit_evenly_beside(&weighed.whitened, cell, leak, least),
+                };
+                if let Some(fit) = fit {
                     tried.take(index, beside + fit.log_likelihood);
                 }
             }
@@ -310,13 +306,18 @@ impl<'c, const N: usize> Weighed<'c, N> {
 
     /// What leaks of any size do: a leak's response turns as it grows, so that the smallest one and one of a middle size span it. What the
     /// law leaves lies along it; the rest of the change is another cause's, and so is what that one's law leaves.
-    fn any_leak(&self) -> Option<AnyLeak<N>> {
-        let leaks = &self.causes.leaks;
-        let smallest = &self.causes.cells[*leaks.first()?];
-        let middle = &self.causes.cells[*leaks.get(leaks.len() / 2)?];
-        let directions = self.whitened.span([smallest, middle].map(|leak| self.causes.mean_of(leak)));
-        let [along, left] = self.whitened.parted(&directions);
-        Some(AnyLeak { directions, error: smallest.error * smallest.error * along, left })
+    fn any_leak(&self) -> Option<AnyLeak<'c, N>> {
+        let Causes { leaks, cells, file, .. } = self.causes;
+        let smallest = &cells[*leaks.first()?];
+        let middle = &cells[*leaks.get(leaks.len() / 2)?];
+        let means = [smallest, middle].map(|leak| self.causes.mean_of(leak));
+        let directions = self.whitened.span(means);
+        let [along, left] = if file.errors_are_even {
+            self.whitened.parted_in_noise(&directions)
+        } else {
+            self.whitened.parted(&directions)
+        };
+        Some(AnyLeak { means, directions, error: smallest.error * smallest.error * along, left })
     }
 
     /// Keeps a pair in the place of the least likely one.

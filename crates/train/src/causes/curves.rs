@@ -28,6 +28,8 @@ pub(super) struct Curve {
 const LEAK_ERROR: f64 = 0.03;
 /// The same of what shifts the null: it moves every sample alike, on every machine.
 const EXACT_ERROR: f64 = 0.01;
+/// Of a shifted null on a plant that was fitted to a log: how a controller comes to rest after a stroke is known less well.
+const FITTED_NULL_ERROR: f64 = 0.05;
 
 /// How far a range of leaks reaches over each end, as a power of the ratio of its ends: (√3 − 1)/2. Sizes then scatter by half the distance
 /// of neighbouring ranges' means, and normals of that width add up to an even density: no law of a leak is likelier only because a size
@@ -56,6 +58,7 @@ impl Curve {
     /// leaks are given what any other response is.
     pub(super) fn error(&self, is_calibrated: bool) -> f64 {
         match self.kind.cause {
+            Cause::ValveNull if is_calibrated => FITTED_NULL_ERROR,
             Cause::ValveNull => EXACT_ERROR,
             Cause::PistonSeal if !is_calibrated => LEAK_ERROR,
             _ => UNKNOWN_LAW_ERROR,

@@ -275,6 +275,7 @@ fn learn_from(
         fitted: simulator.settings.fitted,
         knows_dead_band: simulator.settings.knows_dead_band,
         null_is_exact: may_be_wrong,
+        errors_are_even: may_be_wrong,
         cells,
         golden: Vec::new(),
     };
