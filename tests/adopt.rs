@@ -105,6 +105,14 @@ fn another_press_is_adopted_and_its_leak_sized() {
     sizes.sort_by(f64::total_cmp);
     let median = sizes[sizes.len() / 2];
     assert!(sizes.len() >= 10 && (median / 5.63e-7 - 1.0).abs() < 0.10, "{sizes:?}");
+    // A null that shifts is none.
+    let shifted = folder.path().join("shifted.mcap");
+    let shift =
+        ["--plant", text_of(&plant), "--cycles", "12", "--with", "valve_bias.offset=0.008", "--seed", "5"];
+    simulate(&shifted, &shift);
+    let cycles = replay(&shifted, &["--config", text_of(&config)]);
+    let told = |key: &str, value: &str| cycles.iter().filter(|cycle| cycle[key] == value).count();
+    assert!(told("flag", "healthy") >= 10 && told("cause", "valve_null") >= 10, "{cycles:?}");
 
     // What was adopted stays unless asked.
     let again = seepd(["adopt", text_of(&log), "--out", text_of(&out)]);
