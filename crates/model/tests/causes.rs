@@ -47,8 +47,33 @@ fn file() -> CausesFile {
 }
 
 fn explained(numbers: [f64; NUMBERS]) -> seepd_model::Explanation {
-    let causes = Causes::from_file(file()).expect("a file that is in order");
+    explained_by(file(), numbers)
+}
+
+fn explained_by(file: CausesFile, numbers: [f64; NUMBERS]) -> seepd_model::Explanation {
+    let causes = Causes::from_file(file).expect("a file that is in order");
     causes.explain(&Change { numbers: &numbers, noise: 1e-4 })
+}
+
+/// Where nothing varies by itself, units of noise and ordinary variation are those of noise.
+#[test]
+fn neutral_even_errors_are_the_same_where_nothing_varies() {
+    for numbers in [
+        [5e-5, -1e-4, 0.0, 1e-4],
+        [-0.009, -0.009, 0.0, 0.0],
+        [-0.0044, 0.0044, 0.0, 0.0],
+        [-0.01 - 0.0044, -0.01 + 0.0044, 0.0, 0.0],
+        [0.004, -0.004, 0.006, 0.01],
+    ] {
+        let plain = explained(numbers);
+        let even = explained_by(CausesFile { errors_are_even: true, ..file() }, numbers);
+        assert_eq!(plain.verdict, even.verdict, "{numbers:?}");
+        let pairs = [(plain.none, even.none), (plain.seal, even.seal), (plain.distance, even.distance)];
+        assert!(pairs.iter().all(|(a, b)| (a - b).abs() < 1e-9 * (1.0 + a)), "{numbers:?}: {pairs:?}");
+        for (a, b) in plain.candidates().iter().zip(even.candidates()).take(2) {
+            assert!(a.kind == b.kind && (a.size - b.size).abs() <= 1e-9 * a.size.abs(), "{a:?} {b:?}");
+        }
+    }
 }
 
 #[test]

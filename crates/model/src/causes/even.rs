@@ -54,7 +54,14 @@ impl<const N: usize> Whitened<N> {
 }
 
 impl Causes {
-    /// Fits the sum of some cells, none, one or two, if the logarithm of the likelihood may reach `least`.
+    /// Fits the sum of some cells, none, one or two.
+    pub(super) fn fit_evenly<const N: usize>(&self, whitened: &Whitened<N>, cells: &[&Cell]) -> Fit {
+        let variances = self.variances_of_laws(whitened, cells);
+        let fit = |variance: f64| fit_widened(whitened, variance, |widened| self.lay(widened, cells).moments);
+        under_either(fit(variances[0]), variances, fit)
+    }
+
+    /// The same, if the logarithm of the likelihood may reach `least`.
     pub(super) fn fit_evenly_from<const N: usize>(
         &self,
         whitened: &Whitened<N>,
@@ -62,7 +69,9 @@ impl Causes {
         least: f64,
     ) -> Option<Fit> {
         let variances = self.variances_of_laws(whitened, cells);
-        fit_under_either(whitened, variances, least, |widened| self.lay(widened, cells).moments)
+        let fit = |variance: f64| fit_widened(whitened, variance, |widened| self.lay(widened, cells).moments);
+        let under_any = fit(variances[0]);
+        may_reach(&under_any, whitened.count, least).then(|| under_either(under_any, variances, fit))
     }
 
     /// Fits a cell beside a leak of whatever size.
@@ -73,10 +82,14 @@ impl Causes {
         leak: &AnyLeak<'_, N>,
         least: f64,
     ) -> Option<Fit> {
-        fit_under_either(whitened, leak.variances_beside(cell, whitened.count), least, |widened| {
+        let variances = leak.variances_beside(cell, whitened.count);
+        let moments = |widened: &Whitened<N>| {
             let directions = widened.span(leak.means);
             self.lay(widened, &[cell]).beside(&directions, [1.0; 2])
-        })
+        };
+        let fit = |variance: f64| fit_widened(whitened, variance, moments);
+        let under_any = fit(variances[0]);
+        may_reach(&under_any, whitened.count, least).then(|| under_either(under_any, variances, fit))
     }
 
     /// Variance that the cells' laws give each coordinate of noise: any laws, and those that training has simulated. The last cell's response
@@ -100,24 +113,25 @@ impl Causes {
     }
 }
 
-/// Fits under any law and under one that training has simulated, half of all causes each, if the logarithm of the likelihood may reach
-/// `least`: under the larger variance the change is nearest, and determinants take nothing less than 0 off.
-fn fit_under_either<const N: usize>(
+/// Fits where each coordinate of noise has a variance more.
+fn fit_widened<const N: usize>(
     whitened: &Whitened<N>,
-    [any, simulated]: [f64; 2],
-    least: f64,
+    variance: f64,
     moments: impl Fn(&Whitened<N>) -> Moments,
-) -> Option<Fit> {
-    let n = whitened.count;
-    let fit = |variance: f64| {
-        let (widened, log_determinant) = whitened.widened(variance);
-        moments(&widened).fit_under_one(n, 1.0).in_units_of(log_determinant)
-    };
-    let under_any = fit(any);
-    if -0.5 * under_any.distance * (n as f64) < least {
-        return None;
-    }
-    Some(if simulated < any { under_any.or(fit(simulated)) } else { under_any })
+) -> Fit {
+    let (widened, log_determinant) = whitened.widened(variance);
+    moments(&widened).fit_under_one(whitened.count, 1.0).in_units_of(log_determinant)
+}
+
+/// Whether the likelihood of what fits like this under any law may reach a bound: under the larger variance the change is nearest, and
+/// determinants take nothing less than 0 off.
+fn may_reach(under_any: &Fit, n: usize, least: f64) -> bool {
+    -0.5 * under_any.distance * n as f64 >= least
+}
+
+/// Of variances under any law and under one that training has simulated.
+fn under_either(under_any: Fit, [any, simulated]: [f64; 2], fit: impl Fn(f64) -> Fit) -> Fit {
+    if simulated < any { under_any.or(fit(simulated)) } else { under_any }
 }
 
 fn square(values: &[f64]) -> f64 {
@@ -202,7 +216,7 @@ mod tests {
         let [any, simulated] = [0.3, libm::sqrt(0.3 * 0.3 - 0.2 * 0.2 + 0.05 * 0.05)]
             .map(|error| log_density(change, &leak, variance_of_law(error, change)));
         let expected = libm::log(0.5 * (libm::exp(any) + libm::exp(simulated)));
-        let given = causes.fit_evenly_from(&whitened, &[&causes.cells[0]], f64::NEG_INFINITY).unwrap();
+        let given = causes.fit_evenly(&whitened, &[&causes.cells[0]]);
         assert!((given.log_likelihood - expected).abs() < 1e-6, "{} {expected}", given.log_likelihood);
         // A bound that it cannot reach is told before.
         assert!(causes.fit_evenly_from(&whitened, &[&causes.cells[0]], 0.0).is_none());

@@ -179,12 +179,10 @@ impl Causes {
 
     /// Fits the sum of some cells, none, one or two.
     pub(super) fn fit<const N: usize>(&self, whitened: &Whitened<N>, cells: &[&Cell]) -> Fit {
-        let evenly = || self.fit_evenly_from(whitened, cells, f64::NEG_INFINITY);
-        self.file
-            .errors_are_even
-            .then(evenly)
-            .flatten()
-            .unwrap_or_else(|| self.lay(whitened, cells).moments.fit(whitened.count))
+        if self.file.errors_are_even {
+            return self.fit_evenly(whitened, cells);
+        }
+        self.lay(whitened, cells).moments.fit(whitened.count)
     }
 
     /// Lays cells beside a change.
