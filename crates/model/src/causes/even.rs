@@ -4,7 +4,7 @@
 //! ordinarily do, a hold that shows a change to a thousandth of it would let a law be off in a stroke, which varies more, by many times the
 //! response: a shifted null passed for a leak, and friction for anything. In units of noise an error is what it is in each phase.
 
-use super::fit::{AnyLeak, Fit, Moments, Whitened};
+use super::fit::{AnyLeak, Fit, Moments, Whitened, dot};
 use super::{Causes, Cell};
 
 impl<const N: usize> Whitened<N> {
@@ -44,7 +44,7 @@ impl<const N: usize> Whitened<N> {
     pub(super) fn parted_in_noise(&self, directions: &[[f64; N]]) -> [f64; 2] {
         let mut along = [0.0; N];
         for direction in directions {
-            let share: f64 = self.change.iter().zip(direction).map(|(change, own)| change * own).sum();
+            let share = dot(&self.change, direction);
             along.iter_mut().zip(direction).for_each(|(slot, own)| *slot += share * own);
         }
         let mut beside = self.change;
@@ -69,9 +69,7 @@ impl Causes {
         least: f64,
     ) -> Option<Fit> {
         let variances = self.variances_of_laws(whitened, cells);
-        let fit = |variance: f64| fit_widened(whitened, variance, |widened| self.lay(widened, cells).moments);
-        let under_any = fit(variances[0]);
-        may_reach(&under_any, whitened.count, least).then(|| under_either(under_any, variances, fit))
+        fit_from(whitened, variances, least, |widened| self.lay(widened, cells).moments)
     }
 
     /// Fits a cell beside a leak of whatever size.
@@ -82,14 +80,10 @@ impl Causes {
         leak: &AnyLeak<'_, N>,
         least: f64,
     ) -> Option<Fit> {
-        let variances = leak.variances_beside(cell, whitened.count);
-        let moments = |widened: &Whitened<N>| {
+        fit_from(whitened, leak.variances_beside(cell, whitened.count), least, |widened| {
             let directions = widened.span(leak.means);
             self.lay(widened, &[cell]).beside(&directions, [1.0; 2])
-        };
-        let fit = |variance: f64| fit_widened(whitened, variance, moments);
-        let under_any = fit(variances[0]);
-        may_reach(&under_any, whitened.count, least).then(|| under_either(under_any, variances, fit))
+        })
     }
 
     /// Variance that the cells' laws give each coordinate of noise: any laws, and those that training has simulated. The last cell's response
@@ -123,10 +117,18 @@ fn fit_widened<const N: usize>(
     moments(&widened).fit_under_one(whitened.count, 1.0).in_units_of(log_determinant)
 }
 
-/// Whether the likelihood of what fits like this under any law may reach a bound: under the larger variance the change is nearest, and
-/// determinants take nothing less than 0 off.
-fn may_reach(under_any: &Fit, n: usize, least: f64) -> bool {
-    -0.5 * under_any.distance * n as f64 >= least
+/// Fits under the variances of laws, if the logarithm of the likelihood may reach `least`: under the larger variance the change is nearest,
+/// and determinants take nothing less than 0 off.
+fn fit_from<const N: usize>(
+    whitened: &Whitened<N>,
+    variances: [f64; 2],
+    least: f64,
+    moments: impl Fn(&Whitened<N>) -> Moments,
+) -> Option<Fit> {
+    let fit = |variance: f64| fit_widened(whitened, variance, &moments);
+    let under_any = fit(variances[0]);
+    let may_reach = -0.5 * under_any.distance * whitened.count as f64 >= least;
+    may_reach.then(|| under_either(under_any, variances, fit))
 }
 
 /// Of variances under any law and under one that training has simulated.

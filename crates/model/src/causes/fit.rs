@@ -117,7 +117,7 @@ fn of_length_1<const N: usize>(vector: [f64; N]) -> [f64; N] {
     vector.map(|value| value / length)
 }
 
-fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+pub(super) fn dot<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
     const { assert!(N.is_multiple_of(4)) };
     // Four sums side by side: additions wait for each other otherwise.
     let mut sums = [0.0; 4];
