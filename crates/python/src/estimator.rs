@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use rayon::prelude::*;
 use seepd_features::{Outcome, ReaderError, ValidCycle};
 use seepd_model::Model;
-use seepd_monitor::baseline::{Baseline, BaselineComparator, BaselineFile, Learner, MOST_CYCLES};
+use seepd_monitor::baseline::{BaselineComparator, BaselineFile, Learner, MOST_CYCLES};
 use seepd_signals::Sample;
 
 /// Times that a row is read in a row: the filter settles in the first, the cycle of interest is whole by the last, wherever in the row it
@@ -75,12 +75,13 @@ impl RowReader {
             .transpose()
             .map_err(|error| PyValueError::new_err(error.to_string()))?;
         let baseline = file.as_ref().and_then(BaselineFile::newest);
+        let comparator = baseline.map(|baseline| BaselineComparator::new(baseline.clone(), &self.model));
         let rows = rows_of(&rows);
         let estimates = py
             .detach(|| {
                 rows.par_iter()
                     .enumerate()
-                    .map(|(index, row)| self.estimated(row, index, baseline))
+                    .map(|(index, row)| self.estimated(row, index, comparator.as_ref()))
                     .collect::<Result<Vec<_>, ReaderError>>()
             })
             .map_err(|error| PyValueError::new_err(error.to_string()))?;
@@ -124,12 +125,11 @@ impl RowReader {
         &self,
         row: &[f64],
         index: usize,
-        baseline: Option<&Baseline>,
+        comparator: Option<&BaselineComparator>,
     ) -> Result<[f64; 3], ReaderError> {
-        let comparator = baseline.map(|baseline| BaselineComparator::new(baseline.clone()));
         let mut estimate = [f64::NAN; 3];
         self.read(row, index, &mut |cycle| {
-            let (given, score) = match &comparator {
+            let (given, score) = match comparator {
                 Some(comparator) => {
                     let Some((relative, ..)) = comparator.compare(&self.model, cycle) else { return };
                     (relative.estimate, relative.out_of_distribution.score)

@@ -5,6 +5,7 @@
 //! response: a shifted null passed for a leak, and friction for anything. In units of noise an error is what it is in each phase.
 
 use super::fit::{AnyLeak, Fit, Moments, Whitened, dot};
+use super::repeatability::applied;
 use super::{Causes, Cell};
 
 impl<const N: usize> Whitened<N> {
@@ -12,10 +13,11 @@ impl<const N: usize> Whitened<N> {
     fn widened(&self, variance: f64) -> (Self, f64) {
         let (mut weights, mut change) = (self.weights, self.change);
         let mut log_determinant = 0.0;
-        for (weights, change) in weights.chunks_mut(4).zip(change.chunks_mut(4)) {
+        let of_noise = self.of_noise.chunks(4);
+        for ((weights, change), of_noise) in weights.chunks_mut(4).zip(change.chunks_mut(4)).zip(of_noise) {
             let mut determinant = 1.0;
-            for (weight, change) in weights.iter_mut().zip(change) {
-                let ratio = 1.0 + variance * *weight * *weight;
+            for ((weight, change), of_noise) in weights.iter_mut().zip(change).zip(of_noise) {
+                let ratio = 1.0 + variance * of_noise * *weight * *weight;
                 let narrower = 1.0 / libm::sqrt(ratio);
                 *weight *= narrower;
                 *change *= narrower;
@@ -23,12 +25,8 @@ impl<const N: usize> Whitened<N> {
             }
             log_determinant += libm::log(determinant);
         }
-        (Whitened { count: self.count, weights, change }, log_determinant)
-    }
-
-    /// The change in coordinates of noise.
-    fn in_noise(&self) -> [f64; N] {
-        self.unweighted(&self.change)
+        let Whitened { count, in_noise, of_noise, .. } = *self;
+        (Whitened { count, weights, change, in_noise, of_noise }, log_determinant)
     }
 
     fn unweighted(&self, values: &[f64; N]) -> [f64; N] {
@@ -40,8 +38,8 @@ impl<const N: usize> Whitened<N> {
         unweighted
     }
 
-    /// Squared length of the change along directions of length 1, at right angles, and beside them, in coordinates of noise.
-    pub(super) fn parted_in_noise(&self, directions: &[[f64; N]]) -> [f64; 2] {
+    /// The change along directions of length 1, at right angles, and beside them.
+    fn along_and_beside(&self, directions: &[[f64; N]]) -> [[f64; N]; 2] {
         let mut along = [0.0; N];
         for direction in directions {
             let share = dot(&self.change, direction);
@@ -49,11 +47,32 @@ impl<const N: usize> Whitened<N> {
         }
         let mut beside = self.change;
         beside.iter_mut().zip(&along).for_each(|(slot, along)| *slot -= along);
-        [square(&self.unweighted(&along)), square(&self.unweighted(&beside))]
+        [along, beside]
     }
 }
 
 impl Causes {
+    /// Squared length of the change along directions of length 1, at right angles, and beside them, in coordinates of noise.
+    pub(super) fn parted_in_noise<const N: usize>(
+        &self,
+        whitened: &Whitened<N>,
+        directions: &[[f64; N]],
+    ) -> [f64; 2] {
+        whitened.along_and_beside(directions).map(|part| {
+            let part = whitened.unweighted(&part);
+            match &self.in_noise {
+                Some(noise) => applied(whitened.count, &noise.back, &part).map(|value| value * value).sum(),
+                None => square(&part),
+            }
+        })
+    }
+
+    /// A cell's mean, or one of its directions, in coordinates of noise.
+    fn numbers_in_noise(&self, at: usize) -> &[f64] {
+        let numbers = self.in_noise.as_ref().map_or(&self.numbers, |noise| &noise.numbers);
+        numbers.get(at..at + self.numbers()).unwrap_or_default()
+    }
+
     /// Fits the sum of some cells, none, one or two.
     pub(super) fn fit_evenly<const N: usize>(&self, whitened: &Whitened<N>, cells: &[&Cell]) -> Fit {
         let variances = self.variances_of_laws(whitened, cells);
@@ -89,14 +108,15 @@ impl Causes {
     /// Variance that the cells' laws give each coordinate of noise: any laws, and those that training has simulated. The last cell's response
     /// is what the cell before it leaves of the change, or most of it: its error goes by that.
     fn variances_of_laws<const N: usize>(&self, whitened: &Whitened<N>, cells: &[&Cell]) -> [f64; 2] {
-        let mut rest = whitened.in_noise();
+        let mut rest = whitened.in_noise;
         let mut variances = [0.0; 2];
         for (place, cell) in cells.iter().enumerate() {
-            let mean = self.mean_of(cell);
+            let mean = self.numbers_in_noise(cell.at);
             let length = if place + 1 == cells.len() {
                 square(&rest)
             } else {
-                square(mean) + (0..cell.rank).map(|which| square(self.direction_of(cell, which))).sum::<f64>()
+                let vectors = (0..=cell.rank).map(|which| cell.at + which * self.numbers());
+                vectors.map(|at| square(self.numbers_in_noise(at))).sum::<f64>()
             };
             rest.iter_mut().zip(mean).for_each(|(slot, mean)| *slot -= mean);
             let length = length / whitened.count as f64;
@@ -242,15 +262,21 @@ mod tests {
     /// Variances 1/4 and 1/16 become 1 and 13/16.
     #[test]
     fn analytic_a_variance_more_widens_what_is_sure_the_most() {
-        let whitened = Whitened { count: 2, weights: [2.0, 4.0, 0.0, 0.0], change: [6.0, 4.0, 0.0, 0.0] };
+        let whitened = Whitened {
+            count: 2,
+            weights: [2.0, 4.0, 0.0, 0.0],
+            change: [6.0, 4.0, 0.0, 0.0],
+            in_noise: [3.0, 1.0, 0.0, 0.0],
+            of_noise: [1.0; 4],
+        };
         let (widened, log_determinant) = whitened.widened(0.75);
         let weights = [1.0, libm::sqrt(16.0 / 13.0), 0.0, 0.0];
         assert!(widened.weights.iter().zip(&weights).all(|(a, b)| (a - b).abs() < 1e-12));
         // The change itself is 3 and 1.
         assert!(widened.change.iter().zip([3.0, weights[1], 0.0, 0.0]).all(|(a, b)| (a - b).abs() < 1e-12));
         assert!((log_determinant - libm::log(4.0 * 13.0)).abs() < 1e-12);
-        assert_eq!(whitened.in_noise(), [3.0, 1.0, 0.0, 0.0]);
-        let parted = whitened.parted_in_noise(&[[1.0, 0.0, 0.0, 0.0]]);
-        assert_eq!(parted, [9.0, 1.0]);
+        let parted =
+            whitened.along_and_beside(&[[1.0, 0.0, 0.0, 0.0]]).map(|part| whitened.unweighted(&part));
+        assert_eq!(parted, [[3.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]);
     }
 }

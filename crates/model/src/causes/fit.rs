@@ -1,5 +1,6 @@
 //! How well a hypothesis explains a change: a normal likelihood whose covariance is that of a factor analysis, by Woodbury's identity.
 
+use super::repeatability::applied;
 use super::sizes::{Cut, cut};
 use super::{Causes, Cell, Change, MAX_NUMBERS, MAX_RANK};
 
@@ -14,6 +15,10 @@ pub(super) struct Whitened<const N: usize> {
     pub(super) weights: [f64; N],
     /// The change.
     pub(super) change: [f64; N],
+    /// The same in coordinates of noise alone.
+    pub(super) in_noise: [f64; N],
+    /// Variance of each coordinate where those of noise alone have 1.
+    pub(super) of_noise: [f64; N],
 }
 
 impl<const N: usize> Whitened<N> {
@@ -133,14 +138,25 @@ impl Causes {
     /// The change in coordinates in which noise and ordinary variation together have variance 1.
     pub(super) fn whitened<const N: usize>(&self, change: &Change<'_>) -> Whitened<N> {
         let count = self.numbers();
-        let (mut weights, mut whitened) = ([0.0; N], [0.0; N]);
+        let (mut weights, mut own) = ([0.0; N], [0.0; N]);
         let noise = change.noise * change.noise + LEAST_VARIANCE;
-        let rows = self.file.basis.chunks_exact(count.max(1)).zip(&self.file.ordinary);
-        for ((weight, value), (row, ordinary)) in weights.iter_mut().zip(&mut whitened).zip(rows) {
+        let coordinates = applied(count, &self.file.basis, change.numbers).zip(&self.file.ordinary);
+        for ((weight, value), (coordinate, ordinary)) in weights.iter_mut().zip(&mut own).zip(coordinates) {
             *weight = 1.0 / libm::sqrt(noise + ordinary);
-            *value = *weight * row.iter().zip(change.numbers).map(|(a, b)| a * b).sum::<f64>();
+            *value = coordinate;
         }
-        Whitened { count, weights, change: whitened }
+        let (mut in_noise, mut of_noise) = (own, [1.0; N]);
+        if let Some(noise) = &self.in_noise {
+            let coordinates = applied(count, &noise.basis, change.numbers).zip(&noise.variances);
+            for ((value, own), (coordinate, variance)) in
+                in_noise.iter_mut().zip(&mut of_noise).zip(coordinates)
+            {
+                (*value, *own) = (coordinate, *variance);
+            }
+        }
+        let mut whitened = Whitened { count, weights, change: own, in_noise, of_noise };
+        whitened.change.iter_mut().zip(&weights).for_each(|(value, weight)| *value *= weight);
+        whitened
     }
 
     /// Squared distance over the number of coordinates between two readings of one machine, of which noise and ordinary variation give 1.
@@ -461,7 +477,9 @@ mod tests {
     /// Beside the directions that span a leak of any size nothing is left of one.
     #[test]
     fn directions_of_length_1_span_both_rows() {
-        let whitened = Whitened { count: 4, weights: [2.0; 4], change: [6.0, 2.0, 0.0, 1.0] };
+        let (in_noise, of_noise) = ([3.0, 1.0, 0.0, 0.5], [1.0; 4]);
+        let whitened =
+            Whitened { count: 4, weights: [2.0; 4], change: [6.0, 2.0, 0.0, 1.0], in_noise, of_noise };
         let directions = whitened.span([&[1.0, 0.0, 0.0, 0.0], &[1.0, 1.0, 0.0, 0.0]]);
         assert_eq!(directions, [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]);
         assert_eq!(whitened.parted(&directions), [40.0, 1.0]);

@@ -9,6 +9,7 @@ mod alike;
 mod bound;
 mod even;
 mod fit;
+mod repeatability;
 mod sizes;
 mod verdict;
 
@@ -22,6 +23,8 @@ use crate::check::{check_length, has_length, within};
 use crate::error::ModelError;
 use crate::model::agree;
 use crate::schema::{CausesFile, CausesGolden};
+
+use repeatability::NoiseCoordinates;
 
 pub use bound::KnownConditions;
 pub use fit::UNKNOWN_LAW_ERROR;
@@ -222,6 +225,8 @@ pub struct Causes {
     leaks_of_a_size: usize,
     /// Means and directions of the cells.
     numbers: Vec<f64>,
+    /// Where laws' errors are measured, if not in the coordinates of `numbers`.
+    in_noise: Option<NoiseCoordinates>,
 }
 
 /// Leaks whose sizes are in a smaller ratio belong to one range of sizes: those of neighbouring ranges are in one of 2.2.
@@ -283,7 +288,8 @@ impl Causes {
         let smallest = leaks.first().map_or(0.0, |index| cells[*index].size);
         let leaks_of_a_size =
             leaks.iter().take_while(|index| cells[**index].size < ONE_SIZE * smallest).count();
-        let mut causes = Causes { file, kinds, priors, cells, leaks, leaks_of_a_size, numbers };
+        let in_noise = None;
+        let mut causes = Causes { file, kinds, priors, cells, leaks, leaks_of_a_size, numbers, in_noise };
         causes.mark_what_is_alike();
         for (index, golden) in causes.file.golden.iter().enumerate() {
             causes.check_golden(golden, &format!("causes.golden[{index}]"))?;

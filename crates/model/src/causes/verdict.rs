@@ -313,7 +313,7 @@ impl<'c, const N: usize> Weighed<'c, N> {
         let means = [smallest, middle].map(|leak| self.causes.mean_of(leak));
         let directions = self.whitened.span(means);
         let [along, left] = if file.errors_are_even {
-            self.whitened.parted_in_noise(&directions)
+            self.causes.parted_in_noise(&self.whitened, &directions)
         } else {
             self.whitened.parted(&directions)
         };

@@ -2,7 +2,7 @@
 
 use seepd_features::ValidCycle;
 use seepd_features::segment::MAX_PHASES;
-use seepd_model::causes::{Cause, ChangeVerdict};
+use seepd_model::causes::{Cause, Causes, ChangeVerdict};
 use seepd_model::{Comparison, Estimate, Model, Relative, RelativeEstimate};
 use serde::Serialize;
 
@@ -82,16 +82,22 @@ fn compare(
 #[derive(Debug, Clone)]
 pub struct BaselineComparator {
     baseline: Baseline,
+    /// The model's causes as this machine shows them, where its phases scatter more than noise makes them.
+    causes: Option<Causes>,
     cusum: Cusum,
     trend: Trend,
     tracker: Tracker,
 }
 
 impl BaselineComparator {
-    /// Follows from a baseline.
-    pub fn new(baseline: Baseline) -> Self {
+    /// Follows from a baseline that was learned with a model.
+    pub fn new(baseline: Baseline, model: &Model) -> Self {
+        let causes = model.causes().filter(|causes| causes.file().errors_are_even);
+        let repeatability = [&baseline.deviation[..], &baseline.rise_deviation].concat();
+        let causes = causes.and_then(|causes| causes.of_machine(baseline.noise, &repeatability));
         BaselineComparator {
             baseline,
+            causes,
             cusum: Cusum::default(),
             trend: Trend::default(),
             tracker: Tracker::default(),
@@ -157,7 +163,8 @@ impl BaselineComparator {
     /// known to have the machine's own.
     fn explain(&mut self, model: &Model, cycle: &ValidCycle<'_>) -> Option<Explained> {
         let is_plain = model.relative()?.deadband(&self.baseline.mean).is_none();
-        let causes = model.causes().filter(|causes| is_plain || causes.file().knows_dead_band)?;
+        let causes = self.causes.as_ref().or(model.causes());
+        let causes = causes.filter(|causes| is_plain || causes.file().knows_dead_band)?;
         self.tracker.take(causes, &self.baseline, cycle)
     }
 
@@ -289,8 +296,43 @@ impl BaselineComparator {
 #[cfg(test)]
 mod tests {
     use seepd_model::ModelFile;
+    use seepd_model::causes::Change;
 
     use super::*;
+
+    /// A model of an adopted machine: causes are told apart by what this machine repeats. The shipped press is told apart by its noise alone.
+    #[test]
+    fn causes_of_an_adopted_machine_know_what_it_repeats() {
+        let mut file: ModelFile =
+            serde_json::from_slice(include_bytes!("../../../daemon/assets/model.json")).unwrap();
+        let mut causes_of_its_own = |errors_are_even| {
+            let causes = file.causes.as_mut().unwrap();
+            (causes.errors_are_even, causes.golden) = (errors_are_even, Vec::new());
+            let model = Model::from_file(file.clone()).unwrap();
+            let phases = model.file().cycle.phases.len();
+            // The first phase scatters ten times as much as noise makes the others.
+            let scatter: Vec<f64> = (0..phases).map(|at| if at == 0 { 1e-2 } else { 1e-5 }).collect();
+            let zeros = vec![0.0; phases];
+            let baseline = serde_json::json!({
+                "occasion": "a test", "from_ns": 0, "to_ns": 1, "cycles": 30, "left_out": 0,
+                "mean": zeros, "rise": zeros, "deviation": scatter, "rise_deviation": zeros,
+                "response_deviation_m2": 1e-9, "load_response_deviation_m2": null, "load_n": null,
+                "noise": 1e-3, "absolute_leak_area_m2": 0.0, "absolute_interval90_m2": [0.0, 1e-8], "remarks": [],
+            });
+            BaselineComparator::new(serde_json::from_value(baseline).unwrap(), &model).causes
+        };
+        assert!(causes_of_its_own(false).is_none());
+        let own = causes_of_its_own(true).unwrap();
+        let phases = own.numbers() / 2;
+        // As much as before is noise for a phase that scatters, and the others are as they were.
+        let change = |at: usize| {
+            let mut numbers = vec![0.0; 2 * phases];
+            numbers[at] = 1e-2;
+            numbers
+        };
+        let distance = |numbers: &[f64]| own.distance(&Change { numbers, noise: 1e-3 });
+        assert!(distance(&change(0)) < 0.2 && distance(&change(1)) > 1.0);
+    }
 
     /// A machine that leaked at its baseline and leaks no more answers the other way round: no leak, unless the estimate without a baseline
     /// is sure that it leaks more.

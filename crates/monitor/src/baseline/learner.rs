@@ -131,6 +131,9 @@ impl Learner {
             mean,
             rise,
             deviation: repeatability,
+            rise_deviation: (0..phases)
+                .map(|phase| deviation(kept.iter().map(|cycle| cycle.rises[phase])))
+                .collect(),
             remarks: Vec::new(),
         };
         baseline.remarks = remarks(&baseline, relative, &residuals);

@@ -51,6 +51,9 @@ pub struct Baseline {
     pub rise: Vec<f64>,
     /// Standard deviation from cycle to cycle, by phase: the machine's repeatability.
     pub deviation: Vec<f64>,
+    /// The same of what the command rises by over each phase; empty in baselines of versions that did not ask.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rise_deviation: Vec<f64>,
     /// Standard deviation of the leak residual from cycle to cycle with the command alone, m².
     #[serde(rename = "response_deviation_m2")]
     pub residual_deviation_m2: f64,
@@ -157,11 +160,14 @@ fn phase_names(model: &Model) -> Vec<String> {
 impl Baseline {
     fn check(&self, relative: &Relative) -> Result<(), BaselineError> {
         let phases = relative.phases();
-        let rise = if self.rise.is_empty() { &self.mean } else { &self.rise };
+        let given = |values| if Vec::is_empty(values) { &self.mean } else { values };
         let most = 1.1;
-        for (key, values, most) in
-            [("mean", &self.mean, most), ("rise", rise, MOST_RISE), ("deviation", &self.deviation, most)]
-        {
+        for (key, values, most) in [
+            ("mean", &self.mean, most),
+            ("rise", given(&self.rise), MOST_RISE),
+            ("deviation", &self.deviation, most),
+            ("rise_deviation", given(&self.rise_deviation), MOST_RISE),
+        ] {
             // Negated, so that what is no number is caught as well.
             if values.len() != phases || !values.iter().all(|value| value.abs() <= most) {
                 return Err(BaselineError::PhaseValues { key, phases });

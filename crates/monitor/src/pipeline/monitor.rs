@@ -365,7 +365,8 @@ impl CycleEstimator {
     }
 
     fn follow(&mut self, baseline: Baseline) {
-        self.commissioning = Commissioning::Comparing(Box::new(BaselineComparator::new(baseline)));
+        let comparator = BaselineComparator::new(baseline, &self.model);
+        self.commissioning = Commissioning::Comparing(Box::new(comparator));
         self.announced = Announced::default();
         (self.courses, self.conditions) = (Courses::default(), Vec::new());
     }
