@@ -67,6 +67,7 @@ impl Causes {
             basis: product(n, &across, basis),
             inverse: own_inverse,
             ordinary: variances.iter().map(|variance| variance.max(0.0)).collect(),
+            golden: Vec::new(),
             ..self.file.clone()
         };
         Some(Causes { file, numbers, in_noise: Some(in_noise), ..self.clone() })
