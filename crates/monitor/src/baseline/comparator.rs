@@ -246,7 +246,12 @@ impl BaselineComparator {
             .and_then(|explained| self.beside(model, cycle, explained, (&plain, load_change), absolute_m2));
         let is_beyond_training = plain.out_of_distribution.score > 1.0;
         let is_unlike = beside.is_none() && is_beyond_training;
-        let estimate = beside.unwrap_or(plain);
+        let mut estimate = beside.unwrap_or(plain);
+        let sizes_leaks = model.causes().is_some_and(|causes| causes.file().sizes_leaks);
+        let in_doubt = explained.as_ref().filter(|_| sizes_leaks).and_then(cause::doubtful_leak);
+        if let Some(seal) = in_doubt.filter(|_| !is_unlike) {
+            estimate = cause::no_larger_than(seal, estimate);
+        }
         if !is_unlike {
             let counted =
                 explained.as_ref().map_or(1.0, |explained| cause::share_of_seal(&explained.explanation));

@@ -60,6 +60,30 @@ pub(crate) fn is_surely_a_leak(explained: &Explained) -> bool {
     named_leak(explained).is_some_and(|seal| seal.probability >= CERTAIN && seal.interval90[0] > 0.0)
 }
 
+/// A leak that may be one: more than one cause would do, or the cycles that name it are few.
+pub(crate) fn doubtful_leak(explained: &Explained) -> Option<&Candidate> {
+    let explanation = &explained.explanation;
+    let is_open =
+        matches!(explanation.verdict, ChangeVerdict::CannotTell | ChangeVerdict::Named(Cause::PistonSeal, _));
+    let seal = explanation.candidate(Cause::PistonSeal).filter(|seal| seal.probability >= LEFT_OPEN);
+    seal.filter(|_| is_open && named_leak(explained).is_none())
+}
+
+/// The estimate of a doubtful leak, no larger than its explanation leaves open: the regression takes for a leak whatever moves the command as
+/// one would, as far as it goes. The interval keeps its end.
+pub(crate) fn no_larger_than(seal: &Candidate, given: RelativeEstimate) -> RelativeEstimate {
+    let largest = seal.interval90[1].max(0.0);
+    let Estimate { value, interval: [low, high], .. } = given.estimate;
+    if value <= largest {
+        return given;
+    }
+    let ratio = largest / value;
+    let estimate = Estimate { value: largest, interval: [ratio * low, high], ..given.estimate };
+    let contributions_m2 = given.contributions_m2.map(|part| ratio * part);
+    let leak_residual_m2 = ratio * given.leak_residual_m2;
+    RelativeEstimate { estimate, leak_residual_m2, contributions_m2, ..given }
+}
+
 /// Whether a cause's response is taken off the phases' means before the leak is sized. The comparison knows load, oil and supply as
 /// conditions by itself, as far as training has seen them.
 pub(crate) fn is_taken_off(kind: Kind, knows_load: bool, is_beyond_training: bool) -> bool {
@@ -234,6 +258,65 @@ mod tests {
             assert_eq!(sized.estimate.value, middle);
         }
         assert!((of_law(0.5) / 1.2e-6 - 1.0).abs() < 1e-9 && of_law(0.97) == 1.8e-6);
+    }
+
+    /// Two causes that answer alike, at two sizes of a leak: 2 mm² ± 1 would explain the change as well as a null would.
+    #[test]
+    fn a_leak_in_doubt_is_no_larger_than_its_explanation_leaves_open() {
+        use seepd_model::causes::{Causes, Change};
+        use seepd_model::schema::{CausesFile, CellFile};
+        let identity: Vec<f64> = (0..16).map(|at| if at % 5 == 0 { 1.0 } else { 0.0 }).collect();
+        let cell = |cause, unit, size: f64| CellFile {
+            kind: Kind { cause, side: None, unit },
+            other_law: false,
+            alike: false,
+            size,
+            size_loadings: vec![0.5 * size],
+            size_rest: 0.1 * size,
+            error: 0.0,
+            mean: vec![-0.01, -0.01, 0.0, 0.0],
+            directions: vec![vec![-0.005, -0.005, 0.0, 0.0]],
+        };
+        let causes = Causes::from_file(CausesFile {
+            basis: identity.clone(),
+            inverse: identity,
+            ordinary: vec![0.0; 4],
+            known_limit: 5.0,
+            alike_from: 1.0,
+            sizes_leaks: true,
+            fitted: true,
+            knows_dead_band: true,
+            null_is_exact: true,
+            errors_are_even: true,
+            cells: vec![
+                cell(Cause::PistonSeal, SizeUnit::Area, 2e-6),
+                cell(Cause::ValveNull, SizeUnit::Share, 0.01),
+            ],
+            golden: Vec::new(),
+        })
+        .unwrap();
+        let explained = |numbers: [f64; 4], agreeing| Explained {
+            explanation: causes.explain(&Change { numbers: &numbers, noise: 1e-4 }),
+            agreeing,
+            changed: agreeing,
+            mean_of: agreeing,
+        };
+        let in_doubt = explained([-0.01, -0.01, 0.0, 0.0], 10);
+        assert_eq!(in_doubt.explanation.verdict, ChangeVerdict::CannotTell);
+        let seal = *doubtful_leak(&in_doubt).unwrap();
+        let [_, largest] = seal.interval90;
+        assert!((2e-6..3e-6).contains(&largest), "{largest}");
+        let mut given = estimate(2.0 * largest, [largest, 4.0 * largest]);
+        given.contributions_m2[0] = 2.0 * largest;
+        let bounded = no_larger_than(&seal, given);
+        assert_eq!((bounded.estimate.value, bounded.leak_residual_m2), (largest, largest));
+        assert_eq!(bounded.estimate.interval, [0.5 * largest, 4.0 * largest]);
+        assert_eq!(bounded.contributions_m2[0], largest);
+        // One within it stays, and so does what is no leak.
+        let within = estimate(largest, [0.0, largest]);
+        assert_eq!(no_larger_than(&seal, within), within);
+        let nothing = explained([0.0; 4], 10);
+        assert!(doubtful_leak(&nothing).is_none(), "{:?}", nothing.explanation.verdict);
     }
 
     #[test]
