@@ -117,17 +117,21 @@ def main() -> None:
     parser.add_argument("--seepd", required=True)
     parser.add_argument("--only", nargs="*", choices=list(MACHINES))
     parser.add_argument("--command-alone", action="store_true")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep adopted folders and logs, for another build to replay")
     options = parser.parse_args()
     seepd = os.path.abspath(options.seepd)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.keep or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
         axis = folder / "axis"
         subprocess.run(["cc", "-O2", "-o", axis, HERE / "axis.c", "-lm"], check=True)
         print("| machine | later log | truth, L/min | read | flagged | named |\n|---|---|---|---|---|---|")
         for machine in options.only or MACHINES:
             settings, sheet = MACHINES[machine]
             flow_lpm = setting(settings, "flow", 40) * (70 / setting(settings, "rated", 70)) ** 0.5
-            healthy, data, adopted = folder / "healthy.csv", folder / "machine.toml", folder / machine.replace(":", "-")
+            own = folder / machine.replace(":", "-").replace(" ", "_")
+            own.mkdir(exist_ok=True)
+            healthy, data, adopted = own / "healthy.csv", own / "machine.toml", own / "adopted"
             data.write_text(toml(sheet))
             log(axis, settings, healthy, options.command_alone)
             began = time.monotonic()
@@ -136,8 +140,8 @@ def main() -> None:
             if not (adopted / "baseline.json").exists():
                 print(f"| {machine} | {ended.stderr.strip().splitlines()[-1]} | | | | |")
                 continue
-            for later, changes in LATER.items():
-                file, changes = folder / "later.csv", resolved(changes, flow_lpm)
+            for number, (later, changes) in enumerate(LATER.items(), 1):
+                file, changes = own / f"later-{number}.csv", resolved(changes, flow_lpm)
                 log(axis, f"{settings} cycles={LATER_CYCLES} {changes}", file, options.command_alone)
                 reading, flagged, cycles, cause = said(seepd, adopted / "seepd.toml", file)
                 print(f"| {machine} | {later} | {setting(changes, 'leak', 0):.2f} | {reading} | {flagged} of {cycles} | {cause} |", flush=True)
