@@ -160,11 +160,14 @@ impl BaselineComparator {
     }
 
     /// What has changed. A valve with a dead band answers to causes in its own way, of which training knows nothing, unless the plant is
-    /// known to have the machine's own.
+    /// known to have the machine's own, or causes were learned for an adopted machine: there from valves with and without one, and with room.
     fn explain(&mut self, model: &Model, cycle: &ValidCycle<'_>) -> Option<Explained> {
         let is_plain = model.relative()?.deadband(&self.baseline.mean).is_none();
-        let causes = self.causes.as_ref().or(model.causes());
-        let causes = causes.filter(|causes| is_plain || causes.file().knows_dead_band)?;
+        let causes = self.causes.as_ref().or(model.causes())?;
+        let file = causes.file();
+        if !(is_plain || file.knows_dead_band || file.sizes_leaks) {
+            return None;
+        }
         self.tracker.take(causes, &self.baseline, cycle)
     }
 
