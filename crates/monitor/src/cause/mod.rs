@@ -129,13 +129,16 @@ pub(crate) fn middle_sized(
 }
 
 /// The size of an explained leak under the law that was learned, or under another one that is certain. The explanation's own size is the
-/// mean of both, by their probabilities.
+/// mean of both, by their probabilities; where the law that was learned would have a seal that leaks less, it stands.
 fn size_by_law(seal: &Candidate, law: &OtherLaw) -> f64 {
     let size = if law.probability >= CERTAIN {
         law.size
     } else {
         (seal.size - law.probability * law.size) / (1.0 - law.probability)
     };
+    if size <= 0.0 {
+        return seal.size;
+    }
     let [low, high] = seal.interval90;
     size.clamp(low.max(0.0).min(seal.size), high.max(seal.size))
 }
@@ -258,6 +261,8 @@ mod tests {
             assert_eq!(sized.estimate.value, middle);
         }
         assert!((of_law(0.5) / 1.2e-6 - 1.0).abs() < 1e-9 && of_law(0.97) == 1.8e-6);
+        // With nine in ten for the gap an orifice would leak less than at the baseline.
+        assert_eq!(of_law(0.9), 1.5e-6);
     }
 
     /// Two causes that answer alike, at two sizes of a leak: 2 mm² ± 1 would explain the change as well as a null would.
