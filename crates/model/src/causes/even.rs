@@ -5,7 +5,7 @@
 //! response: a shifted null passed for a leak, and friction for anything. In units of noise an error is what it is in each phase.
 
 use super::fit::{AnyLeak, Fit, Moments, Whitened, dot};
-use super::repeatability::applied;
+use super::linear::{applied, square};
 use super::{Causes, Cell};
 
 impl<const N: usize> Whitened<N> {
@@ -156,12 +156,8 @@ fn under_either(under_any: Fit, [any, simulated]: [f64; 2], fit: impl Fn(f64) ->
     if simulated < any { under_any.or(fit(simulated)) } else { under_any }
 }
 
-fn square(values: &[f64]) -> f64 {
-    values.iter().map(|value| value * value).sum()
-}
-
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use alloc::{vec, vec::Vec};
 
     use super::super::{Cause, Change, ChangeVerdict, Kind, SizeUnit};
@@ -172,7 +168,7 @@ mod tests {
     /// Two holds that nothing moves by itself, and a stroke out and one back that oil and supply move against each other.
     const ORDINARY: [f64; 4] = [0.0, 0.0, 4e-6, 4e-6];
 
-    fn cell(cause: Cause, unit: SizeUnit, error: f64, mean: [f64; 4]) -> CellFile {
+    pub(in super::super) fn cell(cause: Cause, unit: SizeUnit, error: f64, mean: [f64; 4]) -> CellFile {
         CellFile {
             kind: Kind { cause, side: None, unit },
             other_law: false,
@@ -209,16 +205,20 @@ mod tests {
         Causes::from_file(file).unwrap()
     }
 
-    fn variance_of_law(error: f64, change: [f64; 4]) -> f64 {
+    pub(in super::super) fn variance_of_law(error: f64, change: [f64; 4]) -> f64 {
         error * error * change.iter().map(|value| value * value).sum::<f64>() / 4.0
     }
 
-    /// Logarithm of the density of a change over that of noise and ordinary variation alone, but for what both have in common; the direction's
+    /// Logarithm of the density of a change over that of the variances before alone, but for what both have in common; the direction's
     /// determinant and inverse by Sherman and Morrison.
-    fn log_density(change: [f64; 4], cell: &CellFile, variance: f64) -> f64 {
+    pub(in super::super) fn log_density(
+        change: [f64; 4],
+        cell: &CellFile,
+        before: [f64; 4],
+        variance: f64,
+    ) -> f64 {
         let (mut distance, mut along, mut length, mut log_determinant) = (0.0, 0.0, 0.0, 0.0);
-        for (at, change) in change.into_iter().enumerate() {
-            let before = NOISE * NOISE + 1e-12 + ORDINARY[at];
+        for (at, (change, before)) in change.into_iter().zip(before).enumerate() {
             let now = before + variance;
             let (rest, direction) = (change - f64::from(cell.mean[at]), f64::from(cell.directions[0][at]));
             distance += rest * rest / now;
@@ -235,8 +235,9 @@ mod tests {
         let change = [-0.0081, -0.0074, -0.0021, -0.0127];
         let whitened = causes.whitened::<4>(&Change { numbers: &change, noise: NOISE });
         let leak = cell(Cause::PistonSeal, SizeUnit::Area, 0.3, [-0.008, -0.0072, -0.003, -0.013]);
+        let before = ORDINARY.map(|ordinary| NOISE * NOISE + 1e-12 + ordinary);
         let [any, simulated] = [0.3, libm::sqrt(0.3 * 0.3 - 0.2 * 0.2 + 0.05 * 0.05)]
-            .map(|error| log_density(change, &leak, variance_of_law(error, change)));
+            .map(|error| log_density(change, &leak, before, variance_of_law(error, change)));
         let expected = libm::log(0.5 * (libm::exp(any) + libm::exp(simulated)));
         let given = causes.fit_evenly(&whitened, &[&causes.cells[0]]);
         assert!((given.log_likelihood - expected).abs() < 1e-6, "{} {expected}", given.log_likelihood);

@@ -1,6 +1,6 @@
 //! How well a hypothesis explains a change: a normal likelihood whose covariance is that of a factor analysis, by Woodbury's identity.
 
-use super::repeatability::applied;
+use super::linear::{applied, square};
 use super::sizes::{Cut, cut};
 use super::{Causes, Cell, Change, MAX_NUMBERS, MAX_RANK};
 
@@ -173,7 +173,7 @@ impl Causes {
         let rows = self.file.inverse.chunks_exact(n);
         let count = deviations.len().min(n);
         for (slot, (deviation, row)) in noise.iter_mut().zip(deviations.iter().zip(rows)) {
-            let length = libm::sqrt(row.iter().map(|value| value * value).sum::<f64>());
+            let length = libm::sqrt(square(row));
             *slot = deviation / length.max(f64::MIN_POSITIVE);
         }
         noise[..count].sort_unstable_by(f64::total_cmp);

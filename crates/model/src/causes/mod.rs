@@ -9,6 +9,7 @@ mod alike;
 mod bound;
 mod even;
 mod fit;
+mod linear;
 mod repeatability;
 mod sizes;
 mod verdict;

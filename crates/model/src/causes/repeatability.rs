@@ -6,16 +6,14 @@
 //! diagonal: with `N + D = L Lᵀ` and the eigenvectors Q of `L⁻¹ C L⁻ᵀ`, `B = Qᵀ L⁻¹`. What laws are off by is as large as it was, and
 //! has in each coordinate of these its own share of N.
 
-use alloc::vec;
 use alloc::vec::Vec;
 
 use super::Causes;
+use super::linear::{applied, cholesky, eigen, product, row, solved_lower, square, transposed};
 use crate::schema::CausesFile;
 
 /// Least standard deviation of noise, share of full command: a command without any scatters infinitely more.
 const LEAST_NOISE: f64 = 1e-6;
-/// Sweeps over all pairs of coordinates, more than ever were needed.
-const MOST_SWEEPS: usize = 40;
 
 /// Where laws' errors are measured: the coordinates of noise alone.
 #[derive(Debug, Clone)]
@@ -86,117 +84,14 @@ fn excess_variances(inverse: &[f64], noise: f64, deviations: &[f64]) -> Vec<f64>
         .collect()
 }
 
-fn square(values: &[f64]) -> f64 {
-    values.iter().map(|value| value * value).sum()
-}
-
-fn row(matrix: &[f64], n: usize, i: usize) -> &[f64] {
-    &matrix[i * n..(i + 1) * n]
-}
-
-pub(super) fn applied<'a>(
-    n: usize,
-    matrix: &'a [f64],
-    values: &'a [f64],
-) -> impl Iterator<Item = f64> + use<'a> {
-    matrix.chunks_exact(n.max(1)).map(move |row| row.iter().zip(values).map(|(a, b)| a * b).sum())
-}
-
-fn product(n: usize, a: &[f64], b: &[f64]) -> Vec<f64> {
-    let mut product = vec![0.0; n * n];
-    for i in 0..n {
-        for (k, factor) in row(a, n, i).iter().enumerate() {
-            for (slot, value) in product[i * n..(i + 1) * n].iter_mut().zip(row(b, n, k)) {
-                *slot += factor * value;
-            }
-        }
-    }
-    product
-}
-
-fn transposed(n: usize, matrix: &[f64]) -> Vec<f64> {
-    (0..n * n).map(|at| matrix[at % n * n + at / n]).collect()
-}
-
-/// Lower Cholesky factor, with zeros above its diagonal; `None` of a matrix that is not positive definite.
-fn cholesky(n: usize, matrix: impl Fn(usize, usize) -> f64) -> Option<Vec<f64>> {
-    let mut factor = vec![0.0; n * n];
-    for i in 0..n {
-        for j in 0..=i {
-            let inner: f64 = (0..j).map(|k| factor[i * n + k] * factor[j * n + k]).sum();
-            let rest = matrix(i, j) - inner;
-            if i == j && !(rest > 0.0 && rest.is_finite()) {
-                return None;
-            }
-            factor[i * n + j] = if i == j { libm::sqrt(rest) } else { rest / factor[j * n + j] };
-        }
-    }
-    Some(factor)
-}
-
-/// `L⁻¹ M` of a lower factor.
-fn solved_lower(n: usize, factor: &[f64], matrix: &[f64]) -> Vec<f64> {
-    let mut solved = matrix.to_vec();
-    for i in 0..n {
-        for column in 0..n {
-            let inner: f64 = (0..i).map(|k| factor[i * n + k] * solved[k * n + column]).sum();
-            solved[i * n + column] = (solved[i * n + column] - inner) / factor[i * n + i];
-        }
-    }
-    solved
-}
-
-/// Eigenvalues of a symmetric matrix, and its eigenvectors in the columns of the other: Jacobi's rotations (Golub & Van Loan, Matrix
-/// Computations, 2013, section 8.5), which give the same bits on every processor.
-fn eigen(n: usize, mut matrix: Vec<f64>) -> (Vec<f64>, Vec<f64>) {
-    let mut vectors = vec![0.0; n * n];
-    (0..n).for_each(|i| vectors[i * n + i] = 1.0);
-    let least = f64::EPSILON * libm::sqrt(square(&matrix));
-    for _ in 0..MOST_SWEEPS {
-        let mut is_diagonal = true;
-        for p in 0..n {
-            for q in p + 1..n {
-                let beside = matrix[p * n + q];
-                if libm::fabs(beside) <= least {
-                    continue;
-                }
-                is_diagonal = false;
-                let half = 0.5 * (matrix[q * n + q] - matrix[p * n + p]) / beside;
-                let tangent = libm::copysign(1.0, half) / (libm::fabs(half) + libm::sqrt(half * half + 1.0));
-                let cosine = 1.0 / libm::sqrt(tangent * tangent + 1.0);
-                turn(&mut matrix, (n, 1), (p, q), (cosine, tangent * cosine));
-                turn(&mut matrix, (1, n), (p, q), (cosine, tangent * cosine));
-                turn(&mut vectors, (1, n), (p, q), (cosine, tangent * cosine));
-            }
-        }
-        if is_diagonal {
-            break;
-        }
-    }
-    ((0..n).map(|i| matrix[i * n + i]).collect(), vectors)
-}
-
-/// Turns two rows of a matrix, or two columns, as the strides from one to the next and along one say.
-fn turn(
-    matrix: &mut [f64],
-    (next, along): (usize, usize),
-    (p, q): (usize, usize),
-    (cosine, sine): (f64, f64),
-) {
-    for at in 0..next.max(along) {
-        let (first, second) = (p * next + at * along, q * next + at * along);
-        let (a, b) = (matrix[first], matrix[second]);
-        matrix[first] = cosine * a - sine * b;
-        matrix[second] = sine * a + cosine * b;
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use alloc::vec;
+
+    use super::super::even::tests::{cell, log_density, variance_of_law};
     use super::super::fit::Whitened;
-    use super::super::{Cause, Change, ChangeVerdict, Kind, SizeUnit};
+    use super::super::{Cause, Change, ChangeVerdict, SizeUnit};
     use super::*;
-    use crate::schema::CellFile;
 
     /// A hold and a stroke, whose means are the first two numbers and whose rises the last two.
     const INVERSE: [f64; 16] =
@@ -206,18 +101,10 @@ mod tests {
     const ORDINARY: [f64; 4] = [1e-8, 4e-6, 0.0, 1e-6];
     const NOISE: f64 = 1e-4;
 
-    fn causes(basis: [f64; 16], inverse: [f64; 16], error: f64) -> Causes {
-        let cell = |cause, unit, mean: [f32; 4]| CellFile {
-            kind: Kind { cause, side: None, unit },
-            other_law: false,
-            alike: false,
-            size: 1.0,
-            size_loadings: vec![0.4],
-            size_rest: 0.01,
-            error,
-            mean: mean.to_vec(),
-            directions: vec![mean.iter().map(|value| 0.4 * value).collect()],
-        };
+    const LEAK: [f64; 4] = [-0.008, -0.003, 0.0, 0.001];
+    const ERROR: f64 = 0.3;
+
+    fn causes(basis: [f64; 16], inverse: [f64; 16]) -> Causes {
         let file = CausesFile {
             basis: basis.to_vec(),
             inverse: inverse.to_vec(),
@@ -230,8 +117,8 @@ mod tests {
             null_is_exact: false,
             errors_are_even: true,
             cells: vec![
-                cell(Cause::PistonSeal, SizeUnit::Area, [-0.008, -0.003, 0.0, 0.001]),
-                cell(Cause::Friction, SizeUnit::Force, [-0.004, 0.004, 0.0, 0.0]),
+                cell(Cause::PistonSeal, SizeUnit::Area, ERROR, LEAK),
+                cell(Cause::Friction, SizeUnit::Force, ERROR, [-0.004, 0.004, 0.0, 0.0]),
             ],
             golden: Vec::new(),
         };
@@ -242,33 +129,11 @@ mod tests {
         core::array::from_fn(|at| if at % 5 == 0 { 1.0 } else { 0.0 })
     }
 
-    #[test]
-    fn analytic_eigenvalues_and_vectors_of_a_symmetric_matrix() {
-        let (values, vectors) = eigen(2, vec![2.0, 1.0, 1.0, 2.0]);
-        let mut sorted = values.clone();
-        sorted.sort_by(f64::total_cmp);
-        assert!((sorted[0] - 1.0).abs() < 1e-14 && (sorted[1] - 3.0).abs() < 1e-14, "{values:?}");
-        assert!((square(&vectors) - 2.0).abs() < 1e-14);
-        // A V = V diag(λ) of one of five with eigenvalues over six decades.
-        let n = 5;
-        let matrix: Vec<f64> = (0..n * n)
-            .map(|at| {
-                let (i, j) = (at / n, at % n);
-                libm::pow(0.1, (i + j) as f64 / 2.0) * if i == j { 3.0 } else { libm::cos((i + j) as f64) }
-            })
-            .collect();
-        let (values, vectors) = eigen(n, matrix.clone());
-        let images = product(n, &matrix, &vectors);
-        for (at, image) in images.iter().enumerate() {
-            assert!((image - values[at % n] * vectors[at]).abs() < 1e-14, "{at}");
-        }
-    }
-
     /// A hold that scatters three times as noise makes it, its rise too: in the machine's coordinates B (N + D) Bᵀ is the identity, and
     /// B C Bᵀ has the ordinary variances on its diagonal.
     #[test]
     fn analytic_noise_with_scatter_is_even_and_ordinary_variation_apart() {
-        let causes = causes(BASIS, INVERSE, 0.3);
+        let causes = causes(BASIS, INVERSE);
         // The stroke's mean has 0.5² + 2² of the noise's variance.
         let deviations = [3.0, libm::sqrt(4.25), 3.0, 0.1].map(|deviation| deviation * NOISE);
         let machine = causes.of_machine(NOISE, &deviations).unwrap();
@@ -302,41 +167,26 @@ mod tests {
     /// Where numbers are each other's affair alone, a law's error is a variance more beside those of noise, scatter and ordinary variation.
     #[test]
     fn analytic_a_law_s_error_is_as_large_beside_scatter() {
-        let causes = causes(identity(), identity(), 0.3);
+        let causes = causes(identity(), identity());
         let machine =
             causes.of_machine(NOISE, &[10.0, 0.5, 10.0, 1.0].map(|deviation| deviation * NOISE)).unwrap();
         let change = [-0.0085, -0.0027, 2e-4, 9e-4];
         let whitened = machine.whitened::<4>(&Change { numbers: &change, noise: NOISE });
         let given = machine.fit_evenly(&whitened, &[&machine.cells[0]]).log_likelihood;
-        let mean = [-0.008, -0.003, 0.0, 0.001].map(f64::from).map(|value| f64::from(value as f32));
-        let density = |error: f64| {
-            let variance = error * error * change.iter().map(|value| value * value).sum::<f64>() / 4.0;
-            let (mut distance, mut along, mut length, mut log_determinant) = (0.0, 0.0, 0.0, 0.0);
-            for at in 0..4 {
-                let scatter = if at % 2 == 0 { 100.0 } else { 1.0 };
-                let before = scatter * (NOISE * NOISE + 1e-12) + ORDINARY[at];
-                let now = before + variance;
-                let (rest, direction) = (change[at] - mean[at], 0.4 * mean[at]);
-                distance += rest * rest / now;
-                along += rest * direction / now;
-                length += direction * direction / now;
-                log_determinant += libm::log(now / before);
-            }
-            libm::exp(
-                -0.5 * (distance - along * along / (1.0 + length)
-                    + log_determinant
-                    + libm::log(1.0 + length)),
-            )
-        };
-        let simulated = libm::sqrt(0.3 * 0.3 - 0.2 * 0.2 + 0.05 * 0.05);
-        let expected = libm::log(0.5 * (density(0.3) + density(simulated)));
+        let before = [100.0, 1.0, 100.0, 1.0].map(|scatter: f64| scatter * (NOISE * NOISE + 1e-12));
+        let before = core::array::from_fn(|at| before[at] + ORDINARY[at]);
+        let leak = cell(Cause::PistonSeal, SizeUnit::Area, ERROR, LEAK);
+        let density =
+            |error: f64| libm::exp(log_density(change, &leak, before, variance_of_law(error, change)));
+        let simulated = libm::sqrt(ERROR * ERROR - 0.2 * 0.2 + 0.05 * 0.05);
+        let expected = libm::log(0.5 * (density(ERROR) + density(simulated)));
         assert!((given - expected).abs() < 1e-6, "{given} {expected}");
     }
 
     /// A hold that ends now here and now there, by one of its own standard deviations: a cause for whom only noise moves it.
     #[test]
     fn what_a_machine_does_not_repeat_is_no_cause() {
-        let causes = causes(identity(), identity(), 0.3);
+        let causes = causes(identity(), identity());
         let machine = causes.of_machine(NOISE, &[2e-3, NOISE, 2e-3, NOISE]).unwrap();
         let told =
             |causes: &Causes, numbers: [f64; 4]| causes.explain(&Change { numbers: &numbers, noise: NOISE });
@@ -344,13 +194,12 @@ mod tests {
         let [plain, own] = [&causes, &machine].map(|causes| told(causes, scattered).none);
         assert!(plain < 1e-6 && own > 0.5, "{plain} {own}");
         // What the stroke shows counts as it did.
-        let leaking = [-0.008, -0.003, 0.0, 0.001];
-        assert_eq!(told(&machine, leaking).verdict, ChangeVerdict::Named(Cause::PistonSeal, None));
+        assert_eq!(told(&machine, LEAK).verdict, ChangeVerdict::Named(Cause::PistonSeal, None));
     }
 
     #[test]
     fn neutral_a_machine_that_only_noise_moves_has_no_causes_of_its_own() {
-        let causes = causes(BASIS, INVERSE, 0.3);
+        let causes = causes(BASIS, INVERSE);
         for deviations in [&[0.9 * NOISE, NOISE, NOISE, 0.0][..], &[0.0; 4], &[1.0; 2], &[]] {
             assert!(causes.of_machine(NOISE, deviations).is_none(), "{deviations:?}");
         }

@@ -1,6 +1,7 @@
 //! From likelihoods to a verdict: posterior probabilities of causes, with sizes, and what the other cause does to the phases' means.
 
 use super::fit::{AnyLeak, Fit, Whitened};
+use super::linear::applied;
 use super::sizes::Cut;
 use super::{
     Cause, Causes, Cell, Change, Kind, MAX_CELLS, MAX_KINDS, MAX_NUMBERS, PRIOR_NONE, Side, SizeUnit,
@@ -433,10 +434,10 @@ impl<'c, const N: usize> Weighed<'c, N> {
                 }
             }
         });
-        let n = causes.numbers();
         let mut response = [0.0; MAX_NUMBERS];
-        for (slot, row) in response.iter_mut().zip(causes.file.inverse.chunks_exact(n.max(1))) {
-            *slot = row.iter().zip(&sum).map(|(a, b)| a * b).sum::<f64>() / total.max(f64::MIN_POSITIVE);
+        let means = applied(causes.numbers(), &causes.file.inverse, &sum);
+        for (slot, mean) in response.iter_mut().zip(means) {
+            *slot = mean / total.max(f64::MIN_POSITIVE);
         }
         response
     }

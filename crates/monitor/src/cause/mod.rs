@@ -201,7 +201,9 @@ pub(crate) fn beside(
 #[cfg(test)]
 mod tests {
     use seepd_model::OutOfDistribution;
+    use seepd_model::causes::{Causes, Change};
     use seepd_model::relative::MAX_CHANGES;
+    use seepd_model::schema::{CausesFile, CellFile};
 
     use super::*;
 
@@ -268,8 +270,6 @@ mod tests {
     /// Two causes that answer alike, at two sizes of a leak: 2 mm² ± 1 would explain the change as well as a null would.
     #[test]
     fn a_leak_in_doubt_is_no_larger_than_its_explanation_leaves_open() {
-        use seepd_model::causes::{Causes, Change};
-        use seepd_model::schema::{CausesFile, CellFile};
         let identity: Vec<f64> = (0..16).map(|at| if at % 5 == 0 { 1.0 } else { 0.0 }).collect();
         let cell = |cause, unit, size: f64| CellFile {
             kind: Kind { cause, side: None, unit },
