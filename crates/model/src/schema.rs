@@ -351,7 +351,8 @@ pub struct CausesFile {
     #[serde(default = "alike_from", skip_serializing_if = "is_usual_alike_from")]
     pub alike_from: f64,
     /// Whether a leak that is named has the middle size of its explanation's, the regression's and that without a baseline: the explanation's
-    /// responses have room for a plant that is not quite the machine, which the regression of the leak residual has not.
+    /// responses have room for a plant that is not quite the machine, which the regression of the leak residual has not. A leak in doubt is no
+    /// larger than its explanation leaves open then, and a baseline that seems to show a dead band is explained all the same.
     #[serde(default, skip_serializing_if = "core::ops::Not::not")]
     pub sizes_leaks: bool,
     /// Whether the plant was fitted to the machine's own log. Of one that was not nobody knows the valve's null, which the estimate without a
